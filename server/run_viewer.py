@@ -1,18 +1,25 @@
-"""The viewer beside one run of this machine: its page and the files it plays, without a service."""
+"""The viewer beside one run of this machine: its page, the files it plays and its recording, without a service."""
 
+import json
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 from urllib.parse import quote
 
-from fastapi import FastAPI
-from fastapi.responses import FileResponse, RedirectResponse
+from fastapi import FastAPI, Query
+from fastapi.responses import FileResponse, RedirectResponse, Response
 
+from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
+from reconstruction.run.folder import RunFolder
+from rigs.errors import Spike4dgsError
 from server.errors import NotFoundError
 from server.middleware import problems
 from server.middleware.guard import LoopbackGuard
 from server.middleware.headers import SecurityHeaders
 from server.routes import page
+from server.routes.parameters import IfNoneMatch, png
+from server.schemas.jobs import CameraPictures
+from server.services.pictures import Pictured
 
 PLAYED = ("viewer.json", "viewer.bin")
 
@@ -43,11 +50,27 @@ def viewer_app(run: Path) -> FastAPI:
         return FileResponse(run / name)
 
     @app.get("/v1/jobs/{_job}/pictures")
-    def pictures(_job: str) -> None:
-        raise NotFoundError("found no pictures beside a run", "a job of a service")
+    def pictures(_job: str) -> CameraPictures:
+        return _pictured(run).described()
+
+    @app.get("/v1/jobs/{_job}/pictures/{camera}")
+    def picture(
+        _job: str, camera: str, plane: Annotated[int, Query(ge=0)], if_none_match: IfNoneMatch = None
+    ) -> Response:
+        return png(if_none_match, _pictured(run).picture(camera, plane))
 
     app.include_router(page.router)
     problems.install(app)
     app.add_middleware(LoopbackGuard)
     app.add_middleware(SecurityHeaders)
     return app
+
+
+def _pictured(run: Path) -> Pictured:
+    """Return the recording that a run was made of; raises NotFoundError where it is no longer there."""
+    white = float(json.loads((run / "viewer.json").read_text())["white"])
+    try:
+        recording = Recording.open(RunFolder.open(run).recording)
+    except Spike4dgsError as error:
+        raise NotFoundError(f"found no pictures beside a run ({error})", "the recording that it was made of") from error
+    return Pictured(recording.path.name, white, recording)

@@ -38,17 +38,20 @@ def check_rig(
 ) -> tuple[Calibrated, list[CameraCheck]]:
     """Calibrate from today's images, and compare each camera of `rig` that has one with where it is stored.
 
-    Raises GeometryError where today's scene does not tell.
+    Where no two stand to each other as they are stored, all are compared after alignment on all. Raises GeometryError
+    where today's scene does not tell.
     """
     today = calibrate_natural(rig, images, date, progress=progress, movers=movers)
-    kept = [c for c in rig.ids if c in images]
+    kept = every = [c for c in rig.ids if c in images]
     while True:
         checks = _compared(rig, today, kept)
         off = [c for c in checks if not c.fits and c.camera in kept]
-        if not off or len(kept) <= 2:
+        if not off:
             return today, checks
+        if len(kept) <= 2:
+            return today, _compared(rig, today, every)
         worst = max(off, key=lambda c: c.turn_deg + np.degrees(c.shift_m / object_distance_m(rig.cameras)))
-        kept.remove(worst.camera)
+        kept = [c for c in kept if c != worst.camera]
 
 
 def _compared(rig: Rig, today: Calibrated, kept: list[str]) -> list[CameraCheck]:

@@ -61,7 +61,7 @@ def judge_poses(maps: Sequence[DepthMap], sure: Sequence[Mask]) -> str:
         raise StereoError(
             f"found a confirmed depth in {share:.1%} of the pixels with texture",
             f"{LEAST_SHARE:.0%}",
-            "check the poses",
+            "check the poses; those of a drawing are found from the scene by --init natural",
         )
     return f"{texture:.0%} of the pixels have texture, {share:.0%} of them a depth that two views confirm"
 

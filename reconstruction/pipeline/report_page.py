@@ -9,6 +9,7 @@ from reconstruction.pipeline.judged import Trained
 from reconstruction.report.display import depth_span_m, grey
 from reconstruction.report.html import embed, report_html
 from reconstruction.report.pictures import depth_colours, encode_png, error_colours
+from reconstruction.report.seen import seen
 from reconstruction.report.table import score_table
 from reconstruction.truth import spread
 from reconstruction.uncertainty.expected_error import Uncertainty
@@ -65,7 +66,8 @@ def _pictures(trained: Trained, uncertainty: Uncertainty | None) -> list[list[di
         view = trained.cloud.look(camera, instant_s)
         near, far = depth_span_m(view.depth)
         frame = truth.frame(camera.id, plane) if truth else None
-        shown = {"truth": grey(frame.intensity, white)} if frame else {}
+        first = "truth" if frame else f"what {camera.id} saw, by its spikes"
+        shown = {first: grey(frame.intensity, white) if frame else seen(recording.stream(camera.id), plane, white)}
         shown["render"] = grey(view.intensity, white)
         if frame:
             shown["error x5"] = error_colours(view.intensity - frame.intensity, white)

@@ -12,6 +12,13 @@ COLUMNS = {
     "counts.rmse": ("count error, RMS / spikes", "{:.3f}"),
 }
 LINES = {"reconstruction": "", "depth-warped blend": "depth_blend.", "nearest view": "nearest_view."}
+WORDS = {  # for who reads such a table for the first time
+    "depth-warped blend": "the training images, carried to this view by the depth of the points and blended",
+    "nearest view": "the image of the training camera that stands nearest",
+    "depth Abs Rel": "the mean error of depth, as a share of it",
+    "depth delta < 1.25": "the share of pixels whose depth is right to a factor of 1.25",
+    "count error, mean / spikes": "spikes of a pixel in 32 planes, recorded against rendered; noise is part of it",
+}
 
 
 @dataclass(frozen=True)
@@ -20,6 +27,12 @@ class ScoreTable:
 
     headings: tuple[str, ...]
     lines: tuple[tuple[str, tuple[str, ...]], ...]
+
+    @property
+    def words(self) -> dict[str, str]:
+        """The meaning of the names of lines and columns that a newcomer cannot know."""
+        names = (*(name for name, _ in self.lines), *self.headings)
+        return {name: WORDS[name] for name in names if name in WORDS}
 
 
 def score_table(metrics: dict) -> ScoreTable:

@@ -203,6 +203,7 @@ def record_command(
     _print_recording(out, manifest, as_json)
 
 
+_POSES_HELP = "Nominal ones, of a drawing, are found from the scene.  [default: as RIG.toml says, else calibrated]"
 _FORMATS_HELP = "Rows of pixels; rows with 16 more bits each; M1K40 segments, decoded to plain planes."
 
 
@@ -210,7 +211,7 @@ _FORMATS_HELP = "Rows of pixels; rows with 16 more bits each; M1K40 segments, de
 @click.option("--dat", "dats", multiple=True, required=True, metavar="FILE...", help="In row order, or camRC=FILE.")
 @click.option("--cameras", type=PATH, required=True, help="transforms.json, a COLMAP model folder, or RIG.toml.")
 @click.option("--tick-rate", "tick_rate_hz", type=float, required=True, help="Planes a second.")
-@click.option("--poses", type=click.Choice(["calibrated", "nominal"]), help="Nominal poses are estimated later.")
+@click.option("--poses", type=click.Choice(["calibrated", "nominal"]), help=_POSES_HELP)
 @click.option("--size", type=parse_size, metavar="WxH", help="Pixels of every camera, if the cameras' file has none.")
 @click.option("--spikecv", type=PATH, help="SpikeCV's config.yaml, which has the size.")
 @click.option("--format", type=click.Choice(FORMATS), default="vidar", show_default=True, help=_FORMATS_HELP)
@@ -237,6 +238,8 @@ def import_command(
     found = functools.partial(_skews, tick_rate_hz=chosen.tick_rate_hz) if align else None
     manifest = import_recording(dats, cameras, out, chosen, progress_of("import"), warn=warn, align=found)
     _print_recording(out, manifest, as_json)
+    if not as_json and chosen.poses is None and cameras.suffix == ".json":
+        click.echo(f"poses: calibrated, as {cameras.name} does not say; give --poses nominal where it is a drawing")
 
 
 @click.command("verify")

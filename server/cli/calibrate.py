@@ -74,12 +74,14 @@ def check_rig_command(recording: Path, rig: Path | None, as_json: bool) -> None:
     images, movers = long_images(opened, opened.camera_ids), movers_of(opened, opened.camera_ids)
     found, checks = check_rig(stored, images, today, progress_of("check-rig"), movers=movers)
     moved = [check.camera for check in checks if not check.fits]
+    other = "HAS MOVED" if stored.poses == "calibrated" else "stands elsewhere than drawn"
     lines = [
-        f"{check.camera}: {'fits' if check.fits else 'HAS MOVED'}: {check.turn_deg:.3f} degrees, "
+        f"{check.camera}: {'fits' if check.fits else other}: {check.turn_deg:.3f} degrees, "
         f"{1000 * check.shift_m:.2f} mm, focal {check.focal_percent:.2f} % off the rig file"
         for check in checks
     ]
-    lines.append(f"found {', '.join(moved)} moved; calibrate the rig again" if moved else "the calibration still fits")
+    again = f"calibrate the rig: `spike4dgs calibrate {recording} --natural --out RIG.toml`"
+    lines.append(f"found {', '.join(moved)} elsewhere; {again}" if moved else "the calibration still fits")
     rows = [dataclasses.asdict(check) for check in checks]
     document = {"fits": not moved, "moved": moved, "cameras": rows, "found": found.report}
     answer(document, "\n".join(lines), as_json=as_json)
@@ -142,6 +144,7 @@ def _print_calibrated(found: Calibrated, out: Path, picture: Path, as_json: bool
     report = found.report | {"rig": str(out), "picture": str(picture), "cameras": rows}
     named = ("focal", "principal_point", "distortion", "metric_scale")
     lines += [f"{name.replace('_', ' ')}: {report[name]}" for name in named if name in report]
+    lines.append(f"use it: `spike4dgs record --rig {out}`, `spike4dgs import --cameras {out}`")
     answer(report, "\n".join(lines), as_json=as_json)
 
 

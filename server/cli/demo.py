@@ -79,6 +79,7 @@ def demo_command(
     table = score_table(metrics)
     headings = (f"centre view ({HOLDOUT})", *table.headings)
     click.echo(columns([headings, *((name, *cells) for name, cells in table.lines)], numbers=True))
+    click.echo("\n" + "\n".join(f"{name}: {meaning}" for name, meaning in table.words.items()))
     run = folder / "jobs" / job.id / "run"
     seconds = ", ".join(f"{stage} {took:.1f} s" for stage, took in job.seconds.items())
     click.echo(f"\nstages: {seconds}\nreport: {run / 'report.html'}\norbit:  {run / 'orbit.mp4'}")

@@ -8,9 +8,9 @@ import click
 from reconstruction.export.catalogue import FORMATS, check_target, checked_format, export_scene
 from reconstruction.export.scene import Choices
 from reconstruction.pipeline.trained_scene import trained_scene
-from reconstruction.run.folder import RunFolder
 from server.cli.options import PATH, from_tick, to_tick
 from server.cli.progress import progress_of
+from server.cli.runs import trained_run
 
 
 @click.command("export")
@@ -34,6 +34,6 @@ def export_command(run_folder: Path, name: str, out: Path, overwrite: bool, **ch
     """
     choices = Choices(**chosen)
     check_target(out, folder=checked_format(name, choices).folder, overwrite=overwrite)
-    scene = trained_scene(RunFolder.open(run_folder))
+    scene = trained_scene(trained_run(run_folder))
     export_scene(scene, name, out, choices, overwrite=overwrite, progress=progress_of("export"))
     click.echo(f"{name} of {run_folder} in {out}")

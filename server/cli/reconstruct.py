@@ -13,12 +13,12 @@ from reconstruction.errors import BadRunError
 from reconstruction.pipeline.stages import reconstruct, reconstruct_part
 from reconstruction.rendering.limits import frames_to_render
 from reconstruction.run.configuration import CHOICES, DEFAULT_BUDGET_S, FOLLOW, STAGES, ReconstructionConfig
-from reconstruction.run.folder import RunFolder
 from reconstruction.run.parts import STILL, span_name
 from reconstruction.truth import Truth
 from server.cli.options import PATH, from_tick, json_option, several, to_tick
 from server.cli.output import answer, scores
 from server.cli.progress import progress_of, warn
+from server.cli.runs import trained_run
 
 _MORE = {  # of the help of a choice
     "init": "; auto is natural for a nominal rig",
@@ -138,7 +138,7 @@ def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
     from reconstruction.report.pictures import write_png
     from reconstruction.training.checkpoint import load_cloud
 
-    run = RunFolder.open(run_folder)
+    run = trained_run(run_folder)
     frames = frames_to_render(cameras)
     cloud = load_cloud(run.checkpoint)
     white, uncertainty = read_white(run), read_uncertainty(run, cloud)
@@ -162,11 +162,11 @@ def render_command(run_folder: Path, cameras: Path, out: Path) -> None:
 @click.option("--truth", type=PATH, help="truth/ of a simulated recording; without it, spike counts judge.")
 @json_option
 def evaluate_command(run_folder: Path, truth: Path | None, as_json: bool) -> None:
-    """Score RUN on its held-out camera, beside the floors it must beat."""
+    """Score RUN on its held-out camera; where the truth is given, beside the floors it must beat."""
     from reconstruction.pipeline.artefacts import posed, recording_of
     from reconstruction.pipeline.report_stage import evaluate_run
 
-    run = RunFolder.open(run_folder)
+    run = trained_run(run_folder)
     if run.config.holdout is None:
         raise BadRunError(
             "found a run without a held-out camera", do="reconstruct with --holdout to score it", where=run_folder

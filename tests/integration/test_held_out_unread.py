@@ -12,6 +12,7 @@ from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
 from reconstruction.pipeline.artefacts import posed
+from reconstruction.pipeline.report_page import SHOWN_INSTANTS
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.run.configuration import CHOICES, ReconstructionConfig
 from reconstruction.training.checkpoint import load_checkpoint
@@ -90,3 +91,5 @@ def test_without_truth_it_is_placed_by_spikes_it_is_not_scored_on(recording, tmp
     run = reconstruct(blind, tmp_path / "run", config, lambda stage: silent)
     assert "after training" in (run.path / "metrics.json").read_text()
     assert (run.path / "poses/held_out.toml").exists()
+    page = (run.path / "report.html").read_text()
+    assert page.count(f"<figcaption>what {HOLDOUT} saw, by its spikes, plane ") == SHOWN_INSTANTS

@@ -14,7 +14,7 @@ from maintenance.waiting import wait_for
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
-from rigs.toml import catalog_rig, dump_rig
+from rigs.toml import catalog_rig, dump_rig, load_rig
 
 pytestmark = BROWSER
 PREVIEWS = "(n) => [...document.querySelectorAll('.peek')].filter((one) => one.naturalWidth > 0).length === n"
@@ -154,9 +154,12 @@ def test_another_size_comes_with_its_rig_file(
     page.click("#import-try")
     expect(page.locator("#import-layout option").first).to_contain_text("160 × 104, lsb first")
     page.fill("#import-name", "small ones")
+    page.get_by_label("Poses").select_option("of a drawing: find them from the scene")
     page.click("#import-go")
     card = page.locator("#captures > li", has_text="small ones")
     expect(card.locator(".status")).to_have_text("done")
+    (capture,) = service.client.captures(limit=1)
+    assert load_rig(next(service.data.rglob(f"{capture.id}/rig.toml"))).poses == "nominal"
     assert [fault for fault in seen.faults if "422" not in fault] == []  # the browser itself tells of the refusal
 
 

@@ -22,7 +22,7 @@ from reconstruction.images import catalogue as images
 from reconstruction.methods.catalogue import METHODS, OURS
 
 SHOWN = ("bench", "stability", "report", "export", "uncertainty")  # folders of `reconstruction` that look at results
-PAGES = ("pipeline/report_page.py",)  # show what others have scored
+ASIDE = ("pipeline/report_page.py", "calibration/check.py")  # no score goes through them
 TRAINING = ("networks/training/", "networks/train.py", "scenes/random/")  # makes networks, and is in no run
 OF_ALL_METHODS = ("__init__", "catalogue", "definition")
 NETWORK_INITIALISERS = ("msdi", "dust3r")
@@ -95,7 +95,7 @@ def _sources(model: str, networks: bool) -> Iterator[tuple[str, Path]]:
         root = packages[package]
         for path in (root / folder).rglob("*"):
             name = path.relative_to(root).as_posix()
-            if path.suffix in SUFFIXES and not name.startswith((*TRAINING, *PAGES)):
+            if path.suffix in SUFFIXES and not name.startswith((*TRAINING, *ASIDE)):
                 yield f"{package}/{name}", path
     yield from _method_sources(model)
 

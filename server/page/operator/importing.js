@@ -49,6 +49,7 @@ class Import {
     this.rate = element('input', { id: 'import-rate', type: 'number', min: 1, max: 1e7, step: 'any', required: true });
     this.layout = element('select', { id: 'import-layout', onchange: told });
     this.order = element('select', { id: 'import-rows', onchange: told }, [new Option('bottom row first', 'bottom'), new Option('top row first', 'top')]);
+    this.poses = element('select', { id: 'import-poses' }, [new Option('as the file says, or else measured', ''), new Option('of a drawing: find them from the scene', 'nominal')]);
     this.name = element('input', { id: 'import-name', type: 'text', maxLength: 80, autocomplete: 'off' });
     [this.width, this.height] = ['width', 'height'].map((side) => element('input', { id: `import-${side}`, type: 'number', min: 1, max: 9999, ariaLabel: `Another ${side}`, className: 'short' }));
     this.fault = element('p', { className: 'failed', id: 'import-fault', role: 'alert' });
@@ -77,7 +78,7 @@ class Import {
     this.resume = Object.assign(control('Resume', 'import-resume', () => this.run()), { hidden: true });
     const another = element('details', {}, element('summary', {}, 'Another size'), element('div', { className: 'actions' }, this.width, '×', this.height, control('Try', 'import-try', () => this.another())));
     const fields = element('div', { className: 'fields' },
-      this.given ? element('p', { className: 'quiet' }, `Cameras of ${this.given.file.name}`) : labelled('Cameras of the rig', this.rig),
+      ...(this.given ? [element('p', { className: 'quiet' }, `Cameras of ${this.given.file.name}`), labelled('Poses', this.poses)] : [labelled('Cameras of the rig', this.rig)]),
       Object.assign(labelled('Layout', this.layout), { className: 'double' }), labelled('Rows', this.order), labelled('Planes a second', this.rate), labelled('Name', this.name), another);
     const body = element('div', { className: 'large-body import' }, fields, this.fault, this.state, element('ul', { className: 'incomings' }, this.rows.map((row) => row.made)));
     this.dialog = openLarge('import', `Import ${this.rows.length} files`, [this.go, this.resume], body, { closing: 'Cancel', closed: () => this.end(),
@@ -148,6 +149,7 @@ class Import {
       uploads: Object.fromEntries(used.map((row) => [row.camera.value, row.upload.id])), cameras: this.given ? this.given.id : { rig: this.rig.value },
       tick_rate_hz: Number(this.rate.value), size: [width, height], format, ...orders,
       allow_partial: used.some((row) => row.found.candidates.some((one) => keyOf(one) === keyOf(this.chosen) && one.left_bytes)),
+      ...(this.given && this.poses.value && { poses: this.poses.value }),
       ...(this.name.value.trim() && { name: this.name.value.trim() }),
     };
     this.go.disabled = true;

@@ -10,6 +10,7 @@ from acquisition.scenes.bodies import Body, Finish, Shape, still
 from acquisition.scenes.misplaced import misplaced
 from acquisition.scenes.motion import Motion
 from acquisition.scenes.scene import Scene
+from reconstruction.calibration.calibrated import displacement
 from reconstruction.calibration.check import check_rig
 from reconstruction.calibration.features import find_features, repaired
 from reconstruction.calibration.matches import Gate, Tracks, gated, joined, matched
@@ -20,6 +21,7 @@ from reconstruction.calibration.projection import Cameras, project
 from reconstruction.errors import GeometryError
 from reconstruction.metrics.poses import pose_errors
 from rigs.rig import object_distance_m
+from rigs.similarity import align
 from rigs.toml import catalog_rig
 from rigs.transform import Transform
 
@@ -237,6 +239,18 @@ def test_a_camera_that_was_knocked_is_named(room):
     assert [c.camera for c in checks if not c.fits] == ["cam02"]
     (knocked,) = (c for c in checks if not c.fits)
     assert knocked.turn_deg == pytest.approx(0.3, abs=0.02)
+
+
+@pytest.mark.slow
+def test_of_a_rig_that_is_a_drawing_every_camera_is_compared_after_alignment_on_all(room):
+    drawn = misplaced(RIG, 2, 7)
+    _, checks = check_rig(drawn, room, DATE)
+    aligned = align(RIG, drawn).carry_rig(RIG)
+    assert not any(c.fits for c in checks)
+    for check in checks:
+        true = displacement(aligned.camera(check.camera), drawn.camera(check.camera))
+        assert check.turn_deg == pytest.approx(true.turn_deg, abs=0.02)
+        assert check.shift_m == pytest.approx(true.shift_m, abs=1e-3)
 
 
 @pytest.fixture(scope="module")
