@@ -36,7 +36,7 @@ BoardSpec = Annotated[str, Field(pattern=r"^(charuco|apriltag):[A-Za-z0-9_.:x]{5
 
 
 # These read files of the user or are for benchmarks alone.
-_COMMAND_LINE_ONLY = (*GIVEN, "interpolated", "dust3r", RANDOM)
+_COMMAND_LINE_ONLY = (*GIVEN, "dust3r", RANDOM)
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,7 @@ LISTS = {
     "scene": closed(SCENES, "acquisition/scenes/"),
     "status": closed(get_args(Status), "server/schemas/progress.py"),
 }
-COMMAND_LINE_ONLY = {"dust3r", "interpolated", "random", "clean", "blurred", "ordinary"}
+COMMAND_LINE_ONLY = {"dust3r", "random", "clean", "blurred", "ordinary"}
 # (file or folder, list): why these names stand there beside the list itself. This table must only shrink.
 ALLOWED = {
     ("reconstruction/bench/paper/", "supervision"): "the paper's protocol: the losses it compares",

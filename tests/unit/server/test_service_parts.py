@@ -168,7 +168,7 @@ def test_a_job_may_choose_all_that_a_reconstruction_knows_but_what_needs_files_o
     refused = {
         "init": {"dust3r"},
         "points": {"random"},
-        "images": {"interpolated", "clean", "blurred", "ordinary"},
+        "images": {"clean", "blurred", "ordinary"},
     }
     for name, names in CHOICES.items():
         assert set(asked[name]["enum"]) == set(names) - refused.get(name, set())
