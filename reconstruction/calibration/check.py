@@ -19,7 +19,7 @@ TURN_DEG, SHIFT_SHARE, FOCAL_PERCENT = 0.05, 1e-3, 0.5  # differences that alway
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """The way of today's camera from the stored one, after alignment on the cameras that fit."""
+    """The way of today's camera from the stored one, after alignment on the cameras that fit, or on all."""
 
     camera: str
     turn_deg: float

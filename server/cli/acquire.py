@@ -239,7 +239,7 @@ def import_command(
     manifest = import_recording(dats, cameras, out, chosen, progress_of("import"), warn=warn, align=found)
     _print_recording(out, manifest, as_json)
     if not as_json and chosen.poses is None and cameras.suffix == ".json":
-        click.echo(f"poses: calibrated, as {cameras.name} does not say; give --poses nominal where it is a drawing")
+        click.echo(f"poses: those of {cameras.name} count as calibrated; give --poses nominal where it is a drawing")
 
 
 @click.command("verify")

@@ -17,7 +17,8 @@ from acquisition.recording.reader import Recording
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
-from rigs.toml import catalog_rig, dump_rig
+from rigs.exchange.nerfstudio import dump_transforms
+from rigs.toml import catalog_rig, dump_rig, load_rig
 
 LAYERS = ("device", "link", "ring", "disk")
 SMALL = ("--size", "40x25", "--ticks", "30", "--truth-every", "30")
@@ -222,6 +223,18 @@ def test_import_takes_what_a_shell_pattern_gives(spike4dgs, recorded, tmp_path):
     assert code == 2
     assert "none for cam22" in err[-1]
     assert not (tmp_path / "other").exists()
+
+
+def test_import_says_what_it_takes_the_poses_for(spike4dgs, recorded, tmp_path):
+    rig = load_rig(recorded / "rig.toml")
+    (tmp_path / "transforms.json").write_text(dump_transforms(rig.cameras))
+    args = ("import", "--tick-rate", 20000, "--dat", *sorted(recorded.glob("*.dat")), "--cameras")
+    doubt = "poses: those of transforms.json count as calibrated; give --poses nominal where it is a drawing"
+    _, out, _ = spike4dgs(*args, tmp_path / "transforms.json", "--out", tmp_path / "doubtful")
+    assert doubt in out
+    for cameras, more in ((tmp_path / "transforms.json", ("--poses", "nominal")), (recorded / "rig.toml", ())):
+        code, out, _ = spike4dgs(*args, cameras, "--out", tmp_path / f"sure-{len(more)}", *more)
+        assert (code, doubt in out) == (0, False)
 
 
 @pytest.mark.slow

@@ -90,6 +90,9 @@ def test_the_commands_calibrate_and_check(whole, tmp_path, monkeypatch, capsys):
     assert found["rotation_sd_deg"] < 0.03
     assert (tmp_path / "rig-residuals.png").stat().st_size > 10_000
     assert spike4dgs("check-rig", whole) == 1  # it is still the drawing that is stored with the recording
+    said = capsys.readouterr().out
+    assert "cam00: stands elsewhere than drawn: " in said
+    assert f"calibrate the rig: `spike4dgs calibrate {whole} --natural --out RIG.toml`" in said
     shutil.copytree(whole, tmp_path / "rec")
     shutil.copy(rig, tmp_path / "rec/rig.toml")
     assert spike4dgs("check-rig", tmp_path / "rec") == 0

@@ -49,7 +49,7 @@ class Import {
     this.rate = element('input', { id: 'import-rate', type: 'number', min: 1, max: 1e7, step: 'any', required: true });
     this.layout = element('select', { id: 'import-layout', onchange: told });
     this.order = element('select', { id: 'import-rows', onchange: told }, [new Option('bottom row first', 'bottom'), new Option('top row first', 'top')]);
-    this.poses = element('select', { id: 'import-poses' }, [new Option('as the file says, or else measured', ''), new Option('of a drawing: find them from the scene', 'nominal')]);
+    this.poses = element('select', { id: 'import-poses' }, [new Option('as the file says, or else calibrated', ''), new Option('of a drawing: find them from the scene', 'nominal')]);
     this.name = element('input', { id: 'import-name', type: 'text', maxLength: 80, autocomplete: 'off' });
     [this.width, this.height] = ['width', 'height'].map((side) => element('input', { id: `import-${side}`, type: 'number', min: 1, max: 9999, ariaLabel: `Another ${side}`, className: 'short' }));
     this.fault = element('p', { className: 'failed', id: 'import-fault', role: 'alert' });

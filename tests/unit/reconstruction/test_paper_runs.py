@@ -249,7 +249,7 @@ def halved(x):
         ("x / 2", "x / 2.5", True),
     ],
 )
-def test_of_python_that_counts_which_a_run_can_notice(change, by, counts, tmp_path):
+def test_only_what_a_run_can_notice_of_python_counts(change, by, counts, tmp_path):
     (tmp_path / "before.py").write_text(SOURCE)
     (tmp_path / "after.py").write_text(SOURCE.replace(change, by))
     assert SOURCE.replace(change, by) != SOURCE
