@@ -1,10 +1,12 @@
-"""Holds the choices that all benches share: recordings, the held-out camera, views, plane rates, and the cache."""
+"""Holds what all benches share: recordings, the held-out camera, views, plane rates, the cache, the process apart."""
 
 import json
+import multiprocessing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +29,7 @@ from reconstruction.truth import Truth, TruthFrame
 from rigs.rig import Rig
 from rigs.toml import catalog_rig
 
+Result = TypeVar("Result")
 HOLDOUT = "cam11"
 RATE_HZ = 20000
 SLOWER = (2, 4, 10, 20, 40, 100, 200)  # factors between RATE_HZ and the slower plane rates: 10 kHz down to 100 Hz
@@ -113,6 +116,12 @@ def kept(file: Path | None, measure: Callable[[], dict], key: Mapping[str, objec
         file.parent.mkdir(parents=True, exist_ok=True)
         write_json(file, {"key": wanted, "result": result})
     return result
+
+
+def apart(work: Callable[[], Result]) -> Result:
+    """Call `work` in a fresh process and return its result."""
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return pool.apply(work)
 
 
 def measure_parts(

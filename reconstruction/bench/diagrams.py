@@ -18,12 +18,12 @@ from reconstruction.bench.figures import (
     new_figure,
     write_figure,
 )
-from reconstruction.bench.long_page import plot_long
+from reconstruction.bench.long.page import plot_long
 from reconstruction.bench.paper.diagrams import BARS
-from reconstruction.bench.rivals_diagram import plot_rivals
-from reconstruction.bench.speed_diagram import plot_speed
-from reconstruction.bench.training_diagram import plot_training
-from reconstruction.bench.uncertainty_page import plot_uncertainty
+from reconstruction.bench.rivals.diagram import plot_rivals
+from reconstruction.bench.speed.diagram import plot_speed
+from reconstruction.bench.training.diagram import plot_training
+from reconstruction.bench.uncertainty.page import plot_uncertainty
 
 LEAST_S = 0.05  # the place of the rig as drawn, which takes no time
 IMAGE_ERROR = "RMS error / white  (PSNR)"

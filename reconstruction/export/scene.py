@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from acquisition.progress import Progress
 from acquisition.recording.reader import ticks_between
 from reconstruction.errors import BadRunError
-from reconstruction.export.splats import Splats, splats_at
 from rigs.camera import Camera
 from rigs.rig import Rig
 
@@ -134,15 +133,3 @@ class Format:
     def folder(self) -> bool:
         """Return whether it is a folder."""
         return not Path(self.file).suffix
-
-
-def splat_format(name: str, about: str, encode: Callable[[Splats], bytes]) -> Format:
-    """Return the format of a single file: the bytes that `encode` makes of the Gaussians at the instant chosen."""
-
-    def write(path: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
-        splats = splats_at(scene, scene.instant_s(choices))
-        path.write_bytes(encode(splats))
-        progress(1.0, f"{len(splats)} Gaussians")
-        return {}
-
-    return Format(name, about, f"scene.{name}", write, ("at_s",))

@@ -1,19 +1,21 @@
-"""The Gaussians of a scene at one instant, with nothing encoded: all that the formats of splats need."""
+"""The Gaussians of a scene at one instant, with nothing encoded, and the formats that are one file of them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.progress import Progress
+from reconstruction.export.scene import Choices, Format, Scene
 from reconstruction.report.display import GAMMA
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-    from reconstruction.export.scene import Scene
 
 Floats = NDArray[np.float32]
 SH_0 = 0.28209479177387814  # spherical harmonic of degree 0, 1 / (2 sqrt(pi))
@@ -64,6 +66,18 @@ def splats_at(scene: Scene, instant_s: float) -> Splats:
         shapes = floats(now.means), floats(unit(now.quats_wxyz)), linear_scales(now.log_scales)
         splats = Splats(*shapes, floats(now.opacities), floats(now.intensities[:, 0] / scene.white))
     return splats.select(splats.opacities >= ALPHA_MIN)
+
+
+def splat_format(name: str, about: str, encode: Callable[[Splats], bytes]) -> Format:
+    """Return the format of a single file: the bytes that `encode` makes of the Gaussians at the instant chosen."""
+
+    def write(path: Path, scene: Scene, choices: Choices, progress: Progress) -> dict:
+        splats = splats_at(scene, scene.instant_s(choices))
+        path.write_bytes(encode(splats))
+        progress(1.0, f"{len(splats)} Gaussians")
+        return {}
+
+    return Format(name, about, f"scene.{name}", write, ("at_s",))
 
 
 def floats(tensor: Tensor) -> Floats:

@@ -16,9 +16,9 @@ WITH_BASELINES = (4000,)  # planes of a recording that baselines reconstruct, to
 
 def long_recordings(asked: Asked) -> BenchDocument:
     """Measure the long development scenes that were asked for."""
-    from reconstruction.bench.long import ALONE_S, QUICK_S, LongBench, LongClip
+    from reconstruction.bench.long.bench import ALONE_S, QUICK_S, LongBench, LongClip
     from reconstruction.bench.paper.bench import timer
-    from reconstruction.bench.speed_run import NEW, Contender
+    from reconstruction.bench.speed.run import NEW, Contender
     from reconstruction.methods.catalogue import METHODS
 
     seed, work = DEVELOPMENT_SEEDS[0], asked.work / "long"
@@ -41,7 +41,7 @@ def long_recordings(asked: Asked) -> BenchDocument:
 
 def draw_long(_: Asked, out: Path, found: dict) -> None:
     """Draw the picture of a document and write its page."""
-    from reconstruction.bench.long_page import plot_long, write_page
+    from reconstruction.bench.long.page import plot_long, write_page
 
     plot_long(out / "long.png", found)
     write_page(out / "long.md", found)

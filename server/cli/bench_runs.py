@@ -80,7 +80,7 @@ def _recorder(asked: Asked) -> BenchDocument:
 
 def _compact(asked: Asked) -> BenchDocument:
     from reconstruction.bench.scores import real_recordings
-    from reconstruction.bench.speed import LARGE_SIZE
+    from reconstruction.bench.speed.bench import LARGE_SIZE
 
     seed, size = DEVELOPMENT_SEEDS[0], "x".join(map(str, LARGE_SIZE))
     ticks, rig = (QUICK_TICKS, QUICK_RIG) if asked.quick else (TICKS, None)
@@ -98,14 +98,14 @@ def _compact(asked: Asked) -> BenchDocument:
 
 
 def _training(asked: Asked) -> BenchDocument:
-    from reconstruction.bench.training import bench_training
+    from reconstruction.bench.training.bench import bench_training
 
     return bench_training(_training_protocol(asked), _laboratory(asked, "training"), asked.progress_of("training"))
 
 
 def _draw_training(asked: Asked, out: Path, found: dict) -> None:
     from reconstruction.bench.contact_sheet import run_tiles, write_sheet
-    from reconstruction.bench.training import shown_cells
+    from reconstruction.bench.training.bench import shown_cells
 
     _draw(asked, out, found)
     runs = _laboratory(asked, "training").runs(shown_cells(_training_protocol(asked)))
@@ -114,7 +114,7 @@ def _draw_training(asked: Asked, out: Path, found: dict) -> None:
 
 def _training_protocol(asked: Asked) -> Protocol:
     """Return the runs of the training bench that were asked for."""
-    from reconstruction.bench.training import training_protocol
+    from reconstruction.bench.training.bench import training_protocol
 
     scenes = asked.named((*EVALUATION, *DEVELOPMENT)) if asked.scenes or asked.quick else None
     return training_protocol(scenes, quick=asked.quick)
@@ -147,8 +147,17 @@ def _longer(asked: Asked) -> BenchDocument:
     return bench_longer(laboratories, scenes, progress, timer(asked.limit_s), quick=asked.quick)
 
 
+def _msdi(asked: Asked) -> BenchDocument:
+    from reconstruction.bench.msdi import bench_msdi
+    from reconstruction.bench.paper.bench import timer
+
+    work, scenes = asked.work / ("msdi-quick" if asked.quick else "msdi"), asked.named(DEVELOPMENT)
+    recordings = [] if asked.quick else [recording(scene, DEVELOPMENT_SEEDS[0], asked.work) for scene in scenes]
+    return bench_msdi(recordings, work, asked.progress_of("msdi"), quick=asked.quick, time_left=timer(asked.limit_s))
+
+
 def _leave_out(asked: Asked) -> BenchDocument:
-    from reconstruction.bench.leave_out import bench_leave_out
+    from reconstruction.bench.leave_out.bench import bench_leave_out
     from reconstruction.bench.paper.bench import timer
 
     work, progress = asked.work / "leave-out", asked.progress_of("leave-out")
@@ -156,7 +165,7 @@ def _leave_out(asked: Asked) -> BenchDocument:
 
 
 def _defects(asked: Asked) -> BenchDocument:
-    from reconstruction.bench.defects import bench_defects
+    from reconstruction.bench.defects.bench import bench_defects
     from reconstruction.bench.paper.bench import timer
 
     seed, work, progress = DEVELOPMENT_SEEDS[0], asked.work / "defects", asked.progress_of("defects")
@@ -194,15 +203,15 @@ def _beginning(protocol: Protocol, asked: Asked) -> Protocol:
 
 def _rivals(asked: Asked) -> BenchDocument:
     from reconstruction.bench.paper.bench import timer
-    from reconstruction.bench.rivals import bench_rivals
+    from reconstruction.bench.rivals.bench import bench_rivals
 
     laboratory, progress = _laboratory(asked, "rivals"), asked.progress_of("rivals")
     return bench_rivals(_rivals_protocol(asked), laboratory, progress, timer(asked.limit_s))
 
 
 def _draw_rivals(asked: Asked, out: Path, found: dict) -> None:
-    from reconstruction.bench.rivals import GROUPS, write_page
-    from reconstruction.bench.rivals_sheet import write_rivals_sheet
+    from reconstruction.bench.rivals.bench import GROUPS, write_page
+    from reconstruction.bench.rivals.sheet import write_rivals_sheet
 
     _draw(asked, out, found)
     write_page(out / "rivals.md", found, _rivals_protocol(asked))
@@ -210,7 +219,7 @@ def _draw_rivals(asked: Asked, out: Path, found: dict) -> None:
 
 
 def _rivals_protocol(asked: Asked) -> Protocol:
-    from reconstruction.bench.rivals import rivals_protocol
+    from reconstruction.bench.rivals.bench import rivals_protocol
 
     found = _beginning(rivals_protocol(quick=asked.quick), asked)
     return found.beginning_on(scenes_named(asked.scenes)) if asked.scenes else found
@@ -253,6 +262,7 @@ BENCHES: dict[str, Bench] = {
     "tuning": Bench("learning rates of ours and of its rivals, as many trials each", _tuning, _draw_page, trains=True),
     "spss": Bench("the published spike loss on recorded spikes, by weight", _spss, _draw_page, trains=True),
     "longer": Bench("why longer training may end worse", _longer, _draw_page, trains=True),
+    "msdi": Bench("what joint training and pretrained images buy MSDI", _msdi, _draw_page, trains=True),
     "viewpoints": Bench("views that nobody captured, of the runs of paper", _viewpoints, _draw),
     "defects": Bench("what real cameras, light and walls cost, with their cures and without", _defects, _draw),
     "leave-out": Bench("the plan's choices against everything switched on", _leave_out, _draw),

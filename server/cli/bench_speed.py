@@ -13,8 +13,8 @@ from server.cli.bench_asked import QUICK_RIG, QUICK_TICKS, THIS, TICKS, Asked, r
 
 if TYPE_CHECKING:
     from reconstruction.bench.conventions import KnownRecording
-    from reconstruction.bench.speed import Clip, Ended, Extent
-    from reconstruction.bench.speed_run import Contender
+    from reconstruction.bench.speed.bench import Clip, Ended, Extent
+    from reconstruction.bench.speed.run import Contender
 
 LARGE_SEEDS = DEVELOPMENT_SEEDS[:2]
 
@@ -22,7 +22,7 @@ LARGE_SEEDS = DEVELOPMENT_SEEDS[:2]
 def speed(asked: Asked) -> BenchDocument:
     """Measure whole runs and single steps of this revision, and of an older one in turns."""
     from reconstruction.bench.paper.bench import timer
-    from reconstruction.bench.speed import SpeedBench
+    from reconstruction.bench.speed.bench import SpeedBench
 
     extent, clips = _clips(asked)
     progress, seen, contenders = asked.progress_of("speed"), partial(_keep_movers, asked), _contenders(asked)
@@ -32,7 +32,7 @@ def speed(asked: Asked) -> BenchDocument:
 def large(asked: Asked) -> BenchDocument:
     """Measure whole runs at a million pixels: of both revisions on the first seed, of this one on another."""
     from reconstruction.bench.paper.bench import timer
-    from reconstruction.bench.speed import LARGE, LARGE_AGAIN, LARGE_QUICK, LARGE_SIZE, Clip, SpeedBench
+    from reconstruction.bench.speed.bench import LARGE, LARGE_AGAIN, LARGE_QUICK, LARGE_SIZE, Clip, SpeedBench
 
     size, work = "x".join(map(str, LARGE_SIZE)), asked.work / "large"
     extent, ticks = (LARGE_QUICK, QUICK_TICKS) if asked.quick else (LARGE, TICKS)
@@ -49,8 +49,8 @@ def large(asked: Asked) -> BenchDocument:
 
 def draw_speed(asked: Asked, out: Path, found: dict) -> None:
     """Draw the picture of a document of speed, its page, and movers of both revisions after as many seconds."""
-    from reconstruction.bench.mover_sheet import write_mover_sheet
-    from reconstruction.bench.speed_run import NEW, OLD
+    from reconstruction.bench.speed.mover_sheet import write_mover_sheet
+    from reconstruction.bench.speed.run import NEW, OLD
 
     _draw(out, found)
     budget_s, clips = _shown_s(asked), _clips(asked)[1]
@@ -76,7 +76,7 @@ def draw_large(asked: Asked, out: Path, found: dict) -> None:
 def _draw(out: Path, found: dict) -> None:
     """Draw the picture of a document of either bench, and write its page."""
     from reconstruction.bench.diagrams import PLOTS
-    from reconstruction.bench.speed_page import write_page
+    from reconstruction.bench.speed.page import write_page
 
     name = found["bench"]
     PLOTS[name](out / f"{name}.png", found)
@@ -85,7 +85,7 @@ def _draw(out: Path, found: dict) -> None:
 
 def _clips(asked: Asked) -> tuple[Extent, list[Clip]]:
     """Return what the bench of speed measures, and the recordings it measures on."""
-    from reconstruction.bench.speed import FULL, QUICK, Clip
+    from reconstruction.bench.speed.bench import FULL, QUICK, Clip
 
     extent, rig = (QUICK, QUICK_RIG) if asked.quick else (FULL, None)
     ticks, place = (QUICK_TICKS, _work(asked)) if asked.quick else (TICKS, asked.work)
@@ -106,7 +106,7 @@ def _known(clip: Clip) -> KnownRecording:
 
 def _shown_s(asked: Asked) -> float:
     """Return the seconds of the runs on the sheet of movers: the longest that both revisions have."""
-    from reconstruction.bench.speed_run import OLD
+    from reconstruction.bench.speed.run import OLD
 
     return max(budget_s for name, budget_s in _clips(asked)[0].runs if name == OLD)
 
@@ -117,7 +117,7 @@ def _image(asked: Asked, clip: Clip, name: str) -> Path:
 
 def _keep_movers(asked: Asked, ended: Ended) -> None:
     """Keep the held-out view of a run that the sheet of movers shows."""
-    from reconstruction.bench.mover_sheet import shoot
+    from reconstruction.bench.speed.mover_sheet import shoot
 
     if ended.budget_s == _shown_s(asked):
         image = _image(asked, ended.clip, ended.contender.name)
@@ -126,7 +126,7 @@ def _keep_movers(asked: Asked, ended: Ended) -> None:
 
 def _contenders(asked: Asked) -> list[Contender]:
     """Return this revision, behind the older one where its command was given."""
-    from reconstruction.bench.speed_run import NEW, Contender
+    from reconstruction.bench.speed.run import NEW, Contender
 
     this = Contender(NEW, THIS, Path(sys.executable))
     return [Contender.installed(asked.against), this] if asked.against else [this]
@@ -139,7 +139,7 @@ def _tiles(asked: Asked) -> Path:
 def _keep_tiles(asked: Asked, ended: Ended) -> None:
     """Keep the pictures of a run of this revision that ended: those of the longest budget come last, and stay."""
     from reconstruction.bench.contact_sheet import run_tiles, write_sheet
-    from reconstruction.bench.speed_run import NEW
+    from reconstruction.bench.speed.run import NEW
     from reconstruction.run.folder import RunFolder
 
     if ended.contender.name != NEW:

@@ -20,7 +20,7 @@ RUN_S, QUICK_S = 60.0, 5.0  # budget of a run
 def uncertainty(asked: Asked) -> BenchDocument:
     """Measure expected errors on development scenes, of ours by default; with --quick, on two that are small."""
     from reconstruction.bench.conventions import KnownRecording
-    from reconstruction.bench.uncertainty import bench_uncertainty
+    from reconstruction.bench.uncertainty.bench import bench_uncertainty
 
     named = asked.named((*DEVELOPMENT, *LONG_DEVELOPMENT, *BACKGROUNDS, *REALISTIC))
     scenes = dict.fromkeys((*named, LONG_DEVELOPMENT[0])) if asked.quick else named  # a scene is judged by others
@@ -35,7 +35,7 @@ def uncertainty(asked: Asked) -> BenchDocument:
 def draw_uncertainty(asked: Asked, out: Path, found: dict) -> None:
     """Draw the picture of a document, and write its page and the sheet of maps."""
     from reconstruction.bench.contact_sheet import stack_sheets
-    from reconstruction.bench.uncertainty_page import plot_uncertainty, write_page
+    from reconstruction.bench.uncertainty.page import plot_uncertainty, write_page
 
     plot_uncertainty(out / "uncertainty.png", found)
     write_page(out / "uncertainty.md", found)

@@ -177,8 +177,7 @@ def test_an_export_format_is_one_file_and_a_line(copy):
         '''
         """`.xyz`: a line of text for each Gaussian at one instant, an example of an export format."""
 
-        from reconstruction.export.scene import splat_format
-        from reconstruction.export.splats import Splats
+        from reconstruction.export.splats import Splats, splat_format
 
 
         def xyz_bytes(splats: Splats) -> bytes:

@@ -9,7 +9,7 @@ import torch
 
 from acquisition.progress import silent
 from acquisition.recording.reader import Recording
-from reconstruction.bench.long_part import cut_out
+from reconstruction.bench.long.part import cut_out
 from reconstruction.errors import BadRunError
 from reconstruction.gaussians.spanned import SpannedScene
 from reconstruction.pipeline.stages import reconstruct

@@ -6,14 +6,14 @@ from acquisition.devices.open import Simulation
 from acquisition.progress import silent
 from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION
 from acquisition.session.record import simulate
-from reconstruction.bench import training as bench
 from reconstruction.bench.contact_sheet import run_tiles, write_sheet
 from reconstruction.bench.diagrams import plot_training
 from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper import run as runs
 from reconstruction.bench.paper.method import Batch, Effort, Protocol, Row, Table
 from reconstruction.bench.paper.run import Laboratory
-from reconstruction.bench.training import bench_training, shown_cells, training_protocol
+from reconstruction.bench.training import bench
+from reconstruction.bench.training.bench import bench_training, shown_cells, training_protocol
 from rigs.toml import catalog_rig
 
 SCENE = "fan_and_ball"

@@ -20,19 +20,20 @@ from maintenance.evidence_tables import page
 from acquisition.durable import write_durably
 from acquisition.scenes.looks import LOOKS, read_looks
 from reconstruction.bench.diagrams import PLOTS
-from reconstruction.bench.long_page import write_page as write_long_page
+from reconstruction.bench.long.page import write_page as write_long_page
 from reconstruction.bench.longer import write_page as write_longer_page
+from reconstruction.bench.msdi import write_page as write_msdi_page
 from reconstruction.bench.paper.diagrams import write_diagrams
 from reconstruction.bench.paper.protocol import PROTOCOL
 from reconstruction.bench.paper.summary import name_of
 from reconstruction.bench.paper.tables import markdown, write_tables
-from reconstruction.bench.rivals import rivals_protocol
-from reconstruction.bench.rivals import write_page as write_rivals_page
+from reconstruction.bench.rivals.bench import rivals_protocol
+from reconstruction.bench.rivals.bench import write_page as write_rivals_page
 from reconstruction.bench.score_run import METRICS
-from reconstruction.bench.speed_page import write_page as write_speed_page
+from reconstruction.bench.speed.page import write_page as write_speed_page
 from reconstruction.bench.spss import write_page as write_spss_page
 from reconstruction.bench.tuning import write_page as write_tuning_page
-from reconstruction.bench.uncertainty_page import write_page as write_uncertainty_page
+from reconstruction.bench.uncertainty.page import write_page as write_uncertainty_page
 from reconstruction.errors import BadRunError
 from reconstruction.networks.training.curve import plot_curves
 
@@ -98,6 +99,7 @@ OWN_PAGES = {
     "spss": write_spss_page,
     "tuning": write_tuning_page,
     "longer": write_longer_page,
+    "msdi": write_msdi_page,
     "rivals": partial(write_rivals_page, protocol=rivals_protocol()),
     **dict.fromkeys(("speed", "large"), write_speed_page),
 }

@@ -13,8 +13,7 @@ import struct
 
 import numpy as np
 
-from reconstruction.export.scene import splat_format
-from reconstruction.export.splats import SH_0, Splats, to_bytes
+from reconstruction.export.splats import SH_0, Splats, splat_format, to_bytes
 
 EXTENSION = "KHR_gaussian_splatting"
 FLOAT, UNSIGNED_BYTE, ARRAY_BUFFER, POINTS = 5126, 5121, 34962, 0

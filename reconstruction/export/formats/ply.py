@@ -8,8 +8,7 @@ Source: Kerbl et al., "3D Gaussian splatting", SIGGRAPH 2023, and its reference 
 
 import numpy as np
 
-from reconstruction.export.scene import splat_format
-from reconstruction.export.splats import SH_0, Splats
+from reconstruction.export.splats import SH_0, Splats, splat_format
 
 NAMES = (
     *("x", "y", "z", "nx", "ny", "nz"),

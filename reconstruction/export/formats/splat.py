@@ -7,8 +7,7 @@ Source: antimatter15/splat, `convert.py` (the format's reference).
 
 import numpy as np
 
-from reconstruction.export.scene import splat_format
-from reconstruction.export.splats import Splats, to_bytes
+from reconstruction.export.splats import Splats, splat_format, to_bytes
 
 ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("colour", "u1", 4), ("quat_wxyz", "u1", 4)])
 

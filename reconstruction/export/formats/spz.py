@@ -16,8 +16,7 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.export.scene import splat_format
-from reconstruction.export.splats import SH_0, Floats, Splats, to_bytes
+from reconstruction.export.splats import SH_0, Floats, Splats, splat_format, to_bytes
 
 MAGIC, VERSION, ANTIALIASED = 0x5053474E, 3, 1
 COLOUR_SCALE = 0.15

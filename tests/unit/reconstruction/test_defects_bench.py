@@ -9,10 +9,20 @@ from acquisition.devices.open import Simulation
 from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.scenes.catalog import BACKGROUNDS
-from reconstruction.bench import defect_recordings, defects
 from reconstruction.bench.conventions import truth_of
-from reconstruction.bench.defect_recordings import BARREL, Defect, recorded, straightened
-from reconstruction.bench.defects import BUILT, CLEAN, DEFECTS, FEW, RIG_OFF, STEPS, TOGETHER, bench_defects, costs
+from reconstruction.bench.defects import bench, recordings
+from reconstruction.bench.defects.bench import (
+    BUILT,
+    CLEAN,
+    DEFECTS,
+    FEW,
+    RIG_OFF,
+    STEPS,
+    TOGETHER,
+    bench_defects,
+    costs,
+)
+from reconstruction.bench.defects.recordings import BARREL, Defect, recorded, straightened
 from reconstruction.bench.diagrams import plot_defects
 from reconstruction.run.configuration import ReconstructionConfig
 from rigs.toml import catalog_rig
@@ -54,9 +64,9 @@ def test_costs_are_against_the_clean_recording_of_the_same_scene():
 
 
 def test_a_recording_has_its_bent_lenses_its_rate_and_its_maps(tmp_path, monkeypatch):
-    monkeypatch.setattr(defect_recordings, "apart", lambda work: work())
-    monkeypatch.setattr(defect_recordings, "TICKS", 20)
-    monkeypatch.setattr(defect_recordings, "CALIBRATION_TICKS", 500)
+    monkeypatch.setattr(recordings, "apart", lambda work: work())
+    monkeypatch.setattr(recordings, "TICKS", 20)
+    monkeypatch.setattr(recordings, "CALIBRATION_TICKS", 500)
     rig = catalog_rig("ci3x3").scaled(48, 30)
     rig = rig.only(rig.ids[:2])
     defect = Defect("some", TOGETHER.simulated, bent=True, rate_hz=10000, maps=True, uncured=TOGETHER.uncured)
@@ -71,8 +81,8 @@ def test_a_recording_has_its_bent_lenses_its_rate_and_its_maps(tmp_path, monkeyp
 
 
 def test_a_rig_file_as_built_has_the_true_cameras(tmp_path, monkeypatch):
-    monkeypatch.setattr(defect_recordings, "apart", lambda work: work())
-    monkeypatch.setattr(defect_recordings, "TICKS", 20)
+    monkeypatch.setattr(recordings, "apart", lambda work: work())
+    monkeypatch.setattr(recordings, "TICKS", 20)
     rig = catalog_rig("ci3x3").scaled(48, 30)
     subject = ("fan_and_ball", 1)
     off, built = (Recording.open(recorded(tmp_path, rig, subject, defect)) for defect in (RIG_OFF, BUILT))
@@ -92,9 +102,9 @@ def test_the_bench_resumes_and_says_what_it_left_out(tmp_path, monkeypatch):
         made.append(work.args[1].name)
         return dict(RUN)
 
-    monkeypatch.setattr(defects, "apart", told)
-    monkeypatch.setattr(defects, "recorded", lambda work, rig, subject, defect: Path(f"{subject[0]}-{defect.name}"))
-    monkeypatch.setattr(defects, "straightened", lambda path: path)
+    monkeypatch.setattr(bench, "apart", told)
+    monkeypatch.setattr(bench, "recorded", lambda work, rig, subject, defect: Path(f"{subject[0]}-{defect.name}"))
+    monkeypatch.setattr(bench, "straightened", lambda path: path)
     scenes, drawn = [("fan_and_ball", 1)], [("plain_room", 1)]
     document = bench_defects(scenes, drawn, tmp_path, silent)
     curable = sum(defect.curable for defect in DEFECTS)

@@ -16,27 +16,11 @@ from acquisition.scenes.source import SceneSource
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.sensor import Sensor
 from acquisition.spikes.stream import SpikeStream
-from reconstruction.bench import leave_out, leave_out_run
 from reconstruction.bench.diagrams import plot_leave_out
-from reconstruction.bench.leave_out import (
-    BUDGET_S,
-    CASES,
-    COLOUR,
-    GREY,
-    MISSED,
-    PLAN,
-    SIZE,
-    STEPS,
-    TICKS,
-    UNWATCHED,
-    PlanCase,
-    Runs,
-    bench_leave_out,
-    claims,
-    costs,
-    recorded,
-)
-from reconstruction.bench.leave_out_run import EveryChannel, Memory
+from reconstruction.bench.leave_out import bench, run
+from reconstruction.bench.leave_out.bench import BUDGET_S, SIZE, STEPS, Runs, bench_leave_out, claims, costs, recorded
+from reconstruction.bench.leave_out.cases import CASES, COLOUR, GREY, MISSED, PLAN, TICKS, UNWATCHED, PlanCase
+from reconstruction.bench.leave_out.run import EveryChannel, Memory
 from reconstruction.images.background import moving_pixels
 from reconstruction.images.flicker import Light
 from reconstruction.rendering.result import Rendering
@@ -82,8 +66,8 @@ def made(monkeypatch):
         watch = {"choice": "", "reason": "", "facts": {"pixels": 9, "views": 2, "gaussians": 4, "step": 175}}
         return found | {"decisions": SAID | {"watch": watch}}
 
-    monkeypatch.setattr(leave_out, "recorded", lambda case, work: work / case.scene)
-    monkeypatch.setattr(leave_out, "apart", told)
+    monkeypatch.setattr(bench, "recorded", lambda case, work: work / case.scene)
+    monkeypatch.setattr(bench, "apart", told)
     return calls
 
 
@@ -113,8 +97,8 @@ def test_a_quick_bench_has_equal_steps_of_one_case_alone(made, tmp_path):
 
 
 def test_a_refused_run_is_named_and_compared_with_nothing(monkeypatch, tmp_path):
-    monkeypatch.setattr(leave_out, "recorded", lambda case, work: work)
-    monkeypatch.setattr(leave_out, "apart", lambda work: {"refused": "too dark"})
+    monkeypatch.setattr(bench, "recorded", lambda case, work: work)
+    monkeypatch.setattr(bench, "apart", lambda work: {"refused": "too dark"})
     document = bench_leave_out(tmp_path, silent, quick=True)
     assert document.summary == {}
     assert any("static, all, plan: refused, too dark" in omission for omission in document.omissions)
@@ -139,7 +123,7 @@ def test_memory_is_the_most_that_was_held(monkeypatch):
             seen.set()
         return held[0]
 
-    monkeypatch.setattr(leave_out_run, "held_mb", held_mb)
+    monkeypatch.setattr(run, "held_mb", held_mb)
     with Memory() as memory:
         assert memory.peak_mb == 100.0
         held[0] = 400.0
@@ -149,7 +133,7 @@ def test_memory_is_the_most_that_was_held(monkeypatch):
 
 
 def test_anonymous_memory_is_that_of_this_process():
-    measure = "from reconstruction.bench.leave_out_run import held_mb as mb"
+    measure = "from reconstruction.bench.leave_out.run import held_mb as mb"
     code = f"{measure}; was = mb(); held = b'x' * (200 << 20); print(mb() - was)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert float(said) == pytest.approx(200 * 1.048576, rel=0.1)
@@ -168,7 +152,7 @@ def test_the_plan_sees_the_card_of_faint_and_the_watch_would_too(seed):
 @pytest.mark.slow
 @pytest.mark.long
 def test_a_dead_camera_is_skipped_by_the_plan_and_kept_where_it_is_named(monkeypatch, tmp_path):
-    monkeypatch.setattr(leave_out, "SIZE", (100, 62))
+    monkeypatch.setattr(bench, "SIZE", (100, 62))
     (dead,) = (case for case in CASES if case.dead)
     small = PlanCase("small", "static", 1, dead.switches, ticks=64, dead=dead.dead, everything=dead.everything)
     recording = Recording.open(recorded(small, tmp_path))

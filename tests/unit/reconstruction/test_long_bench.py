@@ -9,11 +9,11 @@ from acquisition.devices.open import Simulation
 from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
-from reconstruction.bench import long
-from reconstruction.bench.long import ALONE, BASELINE, SPAN, WHOLE, LongBench, LongClip, summarise
-from reconstruction.bench.long_page import page, plot_long
-from reconstruction.bench.long_part import cut_out
-from reconstruction.bench.speed_run import NEW, Contender
+from reconstruction.bench.long import bench as long_bench
+from reconstruction.bench.long.bench import ALONE, BASELINE, SPAN, WHOLE, LongBench, LongClip, summarise
+from reconstruction.bench.long.page import page, plot_long
+from reconstruction.bench.long.part import cut_out
+from reconstruction.bench.speed.run import NEW, Contender
 from reconstruction.errors import ReconstructionError
 from reconstruction.run.spans import Span
 from reconstruction.truth import Truth
@@ -46,9 +46,9 @@ def bench(tmp_path, monkeypatch):
     def cut_out(recording, span, out):
         out.mkdir(parents=True)
 
-    monkeypatch.setattr(long, "run_to_end", run_to_end)
-    monkeypatch.setattr(long, "cut_out", cut_out)
-    monkeypatch.setattr(long.Recording, "open", lambda path: None)
+    monkeypatch.setattr(long_bench, "run_to_end", run_to_end)
+    monkeypatch.setattr(long_bench, "cut_out", cut_out)
+    monkeypatch.setattr(long_bench.Recording, "open", lambda path: None)
     clip = LongClip("carried_boxes", 1, 1200, lambda: tmp_path / "rec", 20.0, ("stg",))
     return LongBench([clip], CONTENDER, tmp_path / "work", silent), asked
 
@@ -101,7 +101,7 @@ def test_what_fails_or_has_no_time_is_an_omission(bench, monkeypatch):
         raise ReconstructionError("found exit code 1")
 
     measured, _ = bench
-    monkeypatch.setattr(long, "run_to_end", fails)
+    monkeypatch.setattr(long_bench, "run_to_end", fails)
     assert any("found exit code 1" in line for line in measured.run().omissions)
     measured.time_left = lambda: False
     assert any("no time was left" in line for line in measured.run().omissions)

@@ -10,13 +10,13 @@ import pytest
 
 from acquisition.devices.open import Simulation
 from acquisition.session.record import simulate
-from reconstruction.bench import rivals_sheet
 from reconstruction.bench.contact_sheet import TITLE_PX
 from reconstruction.bench.conventions import HOLDOUT, KnownRecording
-from reconstruction.bench.mover_sheet import SHARE, ZOOM, most_moving, shoot, write_mover_sheet
-from reconstruction.bench.rivals import SHORT
-from reconstruction.bench.rivals_sheet import write_rivals_sheet
-from reconstruction.bench.speed_run import OLD, Contender
+from reconstruction.bench.rivals import sheet as rivals_sheet
+from reconstruction.bench.rivals.bench import SHORT
+from reconstruction.bench.rivals.sheet import write_rivals_sheet
+from reconstruction.bench.speed.mover_sheet import SHARE, ZOOM, most_moving, shoot, write_mover_sheet
+from reconstruction.bench.speed.run import OLD, Contender
 from reconstruction.errors import ReconstructionError
 from rigs.exchange.nerfstudio import load_frames
 from rigs.toml import catalog_rig

@@ -11,7 +11,7 @@ from reconstruction.bench.paper.protocol import PROTOCOL, QUICK
 from reconstruction.bench.paper.protocol import SCENES as SHOWN
 from reconstruction.bench.paper.published import IMAGE_MODELS, PUBLISHED, QUICK_MODELS, SPIKE_MODELS
 from reconstruction.bench.paper.tables import HOW
-from reconstruction.bench.rivals import ROWS as RIVALS
+from reconstruction.bench.rivals.bench import ROWS as RIVALS
 from reconstruction.errors import BadRunError
 from reconstruction.methods.catalogue import METHODS, OURS
 from reconstruction.run.configuration import SUPERVISIONS

@@ -14,8 +14,8 @@ from reconstruction.bench.paper.method import Batch, Effort, Protocol, Row, Tabl
 from reconstruction.bench.paper.protocol import CHAIN, EQUAL
 from reconstruction.bench.paper.summary import gaps, summarise
 from reconstruction.bench.paper.tables import measured_table, whole_tables, write_tables
-from reconstruction.bench.training import times_to
-from reconstruction.bench.training_diagram import curve
+from reconstruction.bench.training.bench import times_to
+from reconstruction.bench.training.diagram import curve
 
 STAGES = {f"seconds.{stage}": 1.0 for stage in ("plan", "poses", "images", "points", "train")}
 SHORT, LONG = Effort(30.0), Effort(60.0)

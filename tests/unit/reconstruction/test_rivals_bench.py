@@ -7,12 +7,12 @@ from dataclasses import asdict
 import pytest
 
 from acquisition.scenes.catalog import DEVELOPMENT, EVALUATION, REALISTIC, REALISTIC_EVALUATION
-from reconstruction.bench import rivals_diagram
 from reconstruction.bench.conventions import seed_of
 from reconstruction.bench.paper.method import Effort
 from reconstruction.bench.paper.tables import sittings
-from reconstruction.bench.rivals import GROUPS, METHODS, ROWS, bench_rivals, rivals_protocol, write_page
-from reconstruction.bench.rivals_diagram import plot_rivals
+from reconstruction.bench.rivals import diagram
+from reconstruction.bench.rivals.bench import GROUPS, METHODS, ROWS, bench_rivals, rivals_protocol, write_page
+from reconstruction.bench.rivals.diagram import plot_rivals
 
 ABOUT = {"revision": "abc", "device": {"processor": "p", "threads": 2}}
 
@@ -71,7 +71,7 @@ def test_distances_are_over_the_scenes_of_a_table_and_name_the_worst(tmp_path, t
 def test_a_scene_of_a_table_that_lacks_runs_and_more_seeds_are_not_drawn(tmp_path, told_laboratory, monkeypatch):
     drawn = []
     recordings = lambda document, rows, *about: drawn.append({(row["scene"], row["seed"]) for row in rows})  # noqa: E731
-    monkeypatch.setattr(rivals_diagram, "caption", recordings)
+    monkeypatch.setattr(diagram, "caption", recordings)
     lacking = REALISTIC_EVALUATION[1], METHODS[-1]
     for known_of in (lambda cell: True, lambda cell: (cell.scene, cell.method.name) != lacking):
         _, document = measured(told_laboratory, lambda cell, of=known_of: of(cell) and cell.effort.budget_s <= 60)
@@ -85,7 +85,7 @@ def test_a_scene_of_a_table_that_lacks_runs_and_more_seeds_are_not_drawn(tmp_pat
 )
 def test_a_panel_has_the_recordings_of_its_lengths(tmp_path, told_laboratory, monkeypatch, lacking, panels):
     figures = []
-    monkeypatch.setattr(rivals_diagram, "write_figure", lambda path, figure, below: figures.append(figure))
+    monkeypatch.setattr(diagram, "write_figure", lambda path, figure, below: figures.append(figure))
     _, document = measured(told_laboratory, lambda cell: cell.effort.budget_s != lacking)
     plot_rivals(tmp_path / "rivals.png", document)
     (figure,) = figures

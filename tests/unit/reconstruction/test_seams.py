@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from reconstruction.bench.seams import steps_of_error
+from reconstruction.bench.long.seams import steps_of_error
 from reconstruction.scene_model import View
 from rigs.clock import RigClock
 

@@ -6,12 +6,12 @@ import pytest
 
 from acquisition.errors import AcquisitionError
 from acquisition.progress import silent
-from reconstruction.bench import speed
 from reconstruction.bench.diagrams import PLOTS
-from reconstruction.bench.speed import FULL, LARGE, LARGE_SIZE, QUICK, Clip, Extent, SpeedBench
-from reconstruction.bench.speed_page import page, write_page
-from reconstruction.bench.speed_run import NEW, OLD, Contender, StepSize
-from reconstruction.bench.speed_summary import level_seconds, levels_db, serial_share, summarise
+from reconstruction.bench.speed import bench
+from reconstruction.bench.speed.bench import FULL, LARGE, LARGE_SIZE, QUICK, Clip, Extent, SpeedBench
+from reconstruction.bench.speed.page import page, write_page
+from reconstruction.bench.speed.run import NEW, OLD, Contender, StepSize
+from reconstruction.bench.speed.summary import level_seconds, levels_db, serial_share, summarise
 from reconstruction.errors import ReconstructionError
 
 STAGES = {"plan": 1.0, "poses": 0.01, "images": 2.0, "points": 8.0, "train": 40.0, "report": 20.0}
@@ -213,8 +213,8 @@ def made(monkeypatch):
             calls.append(f"{contender.name} steps")
             return [{"step": s, "renderer": s / 2} for s in (0.02, 0.01, 0.03)]
 
-    monkeypatch.setattr(speed, "run_to_end", told)
-    monkeypatch.setattr(speed, "Steppers", Told)
+    monkeypatch.setattr(bench, "run_to_end", told)
+    monkeypatch.setattr(bench, "Steppers", Told)
     monkeypatch.setattr(Contender, "revision", lambda self: "an older one")
     return calls
 
@@ -252,7 +252,7 @@ def test_other_code_is_measured_again_on_both_sides(made, tmp_path, monkeypatch)
     SpeedBench(contenders(OLD, NEW), [clip()], tmp_path, silent, SHORT).run()
     whole = len(made)
     made.clear()
-    monkeypatch.setattr(speed, "code_revision", lambda: "another")
+    monkeypatch.setattr(bench, "code_revision", lambda: "another")
     SpeedBench(contenders(OLD, NEW), [clip()], tmp_path, silent, SHORT).run()
     assert len(made) == whole
 
@@ -273,7 +273,7 @@ def test_what_failed_and_what_had_no_time_is_named(made, tmp_path, monkeypatch):
     late = SpeedBench(contenders(OLD, NEW), [clip()], tmp_path, silent, SHORT, lambda: False).run()
     assert made == late.rows == []
     assert "a-new@2: no time was left" in late.omissions
-    monkeypatch.setattr(speed, "run_to_end", failed)
+    monkeypatch.setattr(bench, "run_to_end", failed)
     document = SpeedBench(contenders(NEW), [clip(), clip("b", refused)], tmp_path, silent, SHORT).run()
     assert "a-new@2: the new one: found exit code 1" in document.omissions
     assert "b-new@2: found no path tracer" in document.omissions

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from reconstruction.bench.rasterizer import PARTS
-from reconstruction.bench.speed_run import NEW, OLD, Contender, Steppers, StepSize, busy_thread, run_to_end
-from reconstruction.bench.step_times import WHOLE
+from reconstruction.bench.speed.run import NEW, OLD, Contender, Steppers, StepSize, busy_thread, run_to_end
+from reconstruction.bench.speed.step_times import WHOLE
 from reconstruction.errors import BadRunError, ReconstructionError
 
 COMMAND = Path(sys.executable).with_name("spike4dgs")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from reconstruction.bench.uncertainty import LEAST, SeenView, fitted, scored
+from reconstruction.bench.uncertainty.bench import LEAST, SeenView, fitted, scored
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.expectation import block_means, rank_correlation
 from reconstruction.gaussians.dynamic import DynamicCloud

@@ -8,7 +8,7 @@ import pytest
 from acquisition.bench_document import BenchDocument
 from acquisition.progress import silent
 from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, REALISTIC
-from reconstruction.bench.speed import FULL, LARGE, LARGE_AGAIN, LARGE_QUICK, LARGE_SIZE, QUICK, SpeedBench
+from reconstruction.bench.speed.bench import FULL, LARGE, LARGE_AGAIN, LARGE_QUICK, LARGE_SIZE, QUICK, SpeedBench
 from server.cli import bench_asked
 from server.cli.bench_asked import Asked
 from server.cli.bench_runs import BENCHES

@@ -11,8 +11,7 @@ from acquisition.devices.open import Simulation
 from acquisition.durable import made_aside, write_durably
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
-from reconstruction.bench.conventions import truth_of
-from reconstruction.bench.leave_out import apart
+from reconstruction.bench.conventions import apart, truth_of
 from reconstruction.images.pixels import estimate_pixels, write_pixels
 from rigs.rig import Rig
 from rigs.toml import dump_rig

@@ -9,12 +9,10 @@ Clips are small, 200x125 and mostly 200 planes; one is long and at rest. Each ru
 chooses, unless an arm says otherwise. Compare figures with one another, not with those of other benches.
 """
 
-import multiprocessing
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
 
 from acquisition.bench_document import BenchDocument
 from acquisition.devices.open import Simulation
@@ -22,103 +20,18 @@ from acquisition.durable import made_aside
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
-from reconstruction.bench.conventions import HOLDOUT, VIEWS, kept
-from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.bench.conventions import apart, kept
+from reconstruction.bench.leave_out.cases import BLIND, CASES, GREY, MISSED, PLAN, UNWATCHED, Arm, Job, PlanCase
 from rigs.toml import catalog_rig
 
-SIZE, TICKS = (200, 125), 200  # pixels, and planes of a clip
-TWICE = 96_000  # Gaussians, against the plan's 48,000
+SIZE = (200, 125)  # pixels of a clip
 STEPS, QUICK_STEPS, BUDGET_S = 400, 40, 10.0
-DEAD = "cam00"  # the camera without light
-Result = TypeVar("Result")
 SCORES = ("psnr_db", "dynamic_psnr_db")
 OMISSIONS = (
     f"one seed a case; clips of {SIZE[0]}x{SIZE[1]}",
     "colour: three channels; the third-degree harmonics that the plan's bytes are against are not in the engine",
     "pixels, light: nothing to switch; no case has maps of its pixels",
 )
-
-
-@dataclass(frozen=True)
-class Arm:
-    """One way to run a case: `choices` are fields of the configuration that differ from the default.
-
-    `everywhere`: every pixel is taken to move. `channels`: number of the Gaussians' channels; where it is given, the
-    training alone is measured, from the first snapshot of a run by the plan. `blind`: the plan took all for still.
-    `even`: as many points are drawn from plain surfaces as from texture. `whole`: bodies are not cut into parts.
-    """
-
-    name: str
-    choices: dict[str, Any] = field(default_factory=dict)
-    everywhere: bool = False
-    channels: int | None = None
-    blind: bool = False
-    even: bool = False
-    whole: bool = False
-
-    def config(self, *, steps: int | None = None, budget_s: float | None = None) -> ReconstructionConfig:
-        """Return the configuration of a run of so many steps, or to a budget in seconds."""
-        kind: dict[str, Any] = {"holdout": HOLDOUT} | self.choices
-        return ReconstructionConfig(steps=steps, budget_s=budget_s, **kind)
-
-
-@dataclass(frozen=True)
-class PlanCase:
-    """A recording of `ticks` planes; `switches` are the arms that decide otherwise, named by the decision.
-
-    `dead`: a camera whose planes are empty. `devices`: how the simulated cameras differ from the plain ones.
-    `everything`: choices of the arm `all` beyond EVERYTHING.
-    """
-
-    name: str
-    scene: str
-    seed: int
-    switches: tuple[Arm, ...] = ()
-    ticks: int = TICKS
-    dead: str | None = None
-    devices: dict[str, Any] = field(default_factory=dict)
-    everything: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def all(self) -> Arm:
-        """The run that leaves out nothing."""
-        return Arm("all", EVERYTHING | self.everything, everywhere=True)
-
-
-EVERYTHING: dict[str, Any] = {
-    "model": "linear",
-    "init": "natural",
-    "images": "adaptive",
-    "supervision": "image-variation",
-    "refine": "on",
-    "gains": "on",
-    "tick_stride": 1,
-}
-AS_GIVEN: dict[str, Any] = {"init": "sweep"}  # `natural` refuses dark recordings
-PLAN = Arm("plan")
-MOTION = Arm("motion", {"model": "linear"})
-IMAGES = Arm("images", {"images": "adaptive"})
-ALL_VIEWS = Arm("views", {"views": VIEWS})
-GREY, COLOUR = Arm("grey", channels=1), Arm("colour", channels=3)
-BLIND = Arm("blind", blind=True)
-EVEN = Arm("plain surfaces", even=True)
-WHOLE = Arm("bodies", whole=True)
-UNWATCHED = Arm("unwatched", {"model": "static"})  # the watch does not undo a model that was asked for
-UNLIKE: dict[str, Any] = {"camera_gains": 0.05, "camera_lags": 4.0}
-CASES = (
-    PlanCase("static", "static", 101, (MOTION, Arm("supervision", {"supervision": "image-variation"}))),
-    PlanCase("at-rest", "static", 101, ticks=4000),
-    PlanCase("mono", "fan_and_ball", 1, (COLOUR,)),
-    PlanCase("calibrated", "fan_and_ball", 2, (Arm("poses", {"init": "natural"}), Arm("gains", {"gains": "on"}))),
-    PlanCase("unlike-cameras", "fan_and_ball", 1, (Arm("gains", {"gains": "off"}),), devices=UNLIKE),
-    PlanCase("few-movers", "stiff", 101, (IMAGES, Arm("instants", {"tick_stride": 1}))),
-    PlanCase("dim", "dim", 101, (MOTION,), ticks=800, everything=AS_GIVEN),
-    PlanCase("one-dead-view", "fan_and_ball", 3, (ALL_VIEWS,), dead=DEAD, everything=AS_GIVEN | {"views": VIEWS}),
-    PlanCase("painted", "plain", 101, (EVEN,)),
-    PlanCase("bending", "deforming", 101, (WHOLE,)),
-    PlanCase("outdoors", "outdoor", 101, (IMAGES, Arm("Gaussians", {"gaussians": TWICE}))),
-)
-MISSED = PlanCase("missed-mover", "faint", 101)
 
 
 @dataclass(frozen=True)
@@ -141,17 +54,6 @@ class Runs:
             return apart(partial(_measured, Job(recorded(case, self.work), arm, self.work / f"{name}.run", *length)))
 
         return about | kept(self.work / f"{name}.json", measure)
-
-
-@dataclass(frozen=True)
-class Job:
-    """A recording, an arm, the folder `out` that the run has to itself, and its length: `steps` or `budget_s`."""
-
-    recording: Path
-    arm: Arm
-    out: Path
-    steps: int | None = None
-    budget_s: float | None = None
 
 
 def bench_leave_out(
@@ -240,7 +142,7 @@ def _mistaken(document: BenchDocument, runs: Runs) -> None:
 
 
 def _measured(job: Job) -> dict:
-    from reconstruction.bench.leave_out_run import measured  # loads torch, in the process of the run alone
+    from reconstruction.bench.leave_out.run import measured  # loads torch, in the process of the run alone
 
     return measured(job)
 
@@ -258,9 +160,3 @@ def recorded(case: PlanCase, work: Path) -> Path:
             file = aside / Recording.open(aside).manifest.camera(case.dead).file
             file.write_bytes(bytes(file.stat().st_size))
     return path
-
-
-def apart(work: Callable[[], Result]) -> Result:
-    """Call `work` in a fresh process and return its result."""
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(work)

@@ -16,8 +16,8 @@ from reconstruction.bench.figures import (
     relative_error,
     write_figure,
 )
-from reconstruction.bench.speed_run import NEW, OLD
-from reconstruction.bench.speed_summary import clips_of, ends
+from reconstruction.bench.speed.run import NEW, OLD
+from reconstruction.bench.speed.summary import clips_of, ends
 
 COLUMNS = 3  # panels in a row at most
 PANEL = (4.6, 3.7)  # inches

@@ -12,7 +12,7 @@ from reconstruction.bench.paper.diagrams import BARS, ERROR, SECONDS
 from reconstruction.bench.paper.method import Effort
 from reconstruction.bench.paper.methods import AUTO
 from reconstruction.bench.paper.summary import lengths
-from reconstruction.bench.rivals import GROUPS, LABELS, LONG, SHORT, SHORTEST
+from reconstruction.bench.rivals.bench import GROUPS, LABELS, LONG, SHORT, SHORTEST
 
 PANELS = ((SHORTEST, SHORT), (SHORTEST, SHORT, LONG))
 PANEL_WIDTH = 4.6  # inches

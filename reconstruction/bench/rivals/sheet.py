@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from reconstruction.bench.contact_sheet import write_sheet
 from reconstruction.bench.conventions import HOLDOUT, KnownRecording
-from reconstruction.bench.mover_sheet import mover_strips
 from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.run import Laboratory
-from reconstruction.bench.rivals import OURS_STG, ROWS, SHORT
+from reconstruction.bench.rivals.bench import OURS_STG, ROWS, SHORT
+from reconstruction.bench.speed.mover_sheet import mover_strips
 from reconstruction.run.folder import RunFolder
 from reconstruction.training.checkpoint import load_cloud
 

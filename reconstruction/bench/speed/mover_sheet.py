@@ -12,7 +12,7 @@ from acquisition.arrays import read_array
 from acquisition.durable import write_durably
 from reconstruction.bench.contact_sheet import Picture, write_sheet
 from reconstruction.bench.conventions import HOLDOUT, KnownRecording
-from reconstruction.bench.speed_run import Contender
+from reconstruction.bench.speed.run import Contender
 from reconstruction.errors import ReconstructionError
 from reconstruction.report.display import grey
 from rigs.exchange.nerfstudio import Frame, dump_frames

@@ -16,9 +16,8 @@ from acquisition.progress import Progress
 from acquisition.scenes.catalog import BACKGROUNDS, DEVELOPMENT_SEEDS
 from acquisition.scenes.glass import Glass
 from acquisition.spikes.traits import Traits
-from reconstruction.bench.conventions import HOLDOUT, kept
-from reconstruction.bench.defect_recordings import Defect, recorded, straightened
-from reconstruction.bench.leave_out import apart
+from reconstruction.bench.conventions import HOLDOUT, apart, kept
+from reconstruction.bench.defects.recordings import Defect, recorded, straightened
 from reconstruction.errors import ReconstructionError
 from reconstruction.run.configuration import ReconstructionConfig
 from rigs.rig import Rig
@@ -150,7 +149,7 @@ def costs(rows: Sequence[dict]) -> dict[str, float]:
 
 
 def _measured(recording: Path, out: Path, config: ReconstructionConfig) -> dict:
-    from reconstruction.bench.defects_run import measured  # loads torch, in the process of the run alone
+    from reconstruction.bench.defects.run import measured  # loads torch, in the process of the run alone
 
     try:
         return measured(recording, out, config)

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from acquisition.durable import write_durably
 from reconstruction.bench.conventions import made_by
 from reconstruction.bench.figures import COLOURS, caption, name_axes, new_figure, write_figure
-from reconstruction.bench.long import ALONE, BASELINE, FLOORS, SPAN, WHOLE
+from reconstruction.bench.long.bench import ALONE, BASELINE, FLOORS, SPAN, WHOLE
 from reconstruction.bench.paper.tables import markdown
 
 ABOUT = """The whole is one reconstruction in spans. A part alone is the same planes as a recording of their own.

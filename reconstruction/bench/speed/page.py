@@ -8,8 +8,8 @@ from pathlib import Path
 from acquisition.durable import write_durably
 from reconstruction.bench.conventions import made_by
 from reconstruction.bench.paper.tables import markdown
-from reconstruction.bench.speed_run import NEW, OLD
-from reconstruction.bench.speed_summary import (
+from reconstruction.bench.speed.run import NEW, OLD
+from reconstruction.bench.speed.summary import (
     LEVELS,
     LOADED,
     PART,

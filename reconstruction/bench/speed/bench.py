@@ -19,9 +19,9 @@ from acquisition.revision import code_revision
 from reconstruction.bench.conventions import kept
 from reconstruction.bench.paper.digest import this_code
 from reconstruction.bench.paper.run import QUIET, TRIES
-from reconstruction.bench.speed_run import NEW, OLD, Contender, Steppers, StepSize, busy_thread, run_to_end
-from reconstruction.bench.speed_summary import LOADED, PART, STEPS, summarise
-from reconstruction.bench.step_times import WHOLE
+from reconstruction.bench.speed.run import NEW, OLD, Contender, Steppers, StepSize, busy_thread, run_to_end
+from reconstruction.bench.speed.step_times import WHOLE
+from reconstruction.bench.speed.summary import LOADED, PART, STEPS, summarise
 from rigs.errors import Spike4dgsError
 
 TURNS = 7  # times that each contender steps

@@ -20,7 +20,7 @@ from torch import Tensor
 from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
-from reconstruction.bench.leave_out import PLAN, Job
+from reconstruction.bench.leave_out.cases import PLAN, Job
 from reconstruction.bench.score_run import STAGES, held_out_with_truth
 from reconstruction.errors import ReconstructionError
 from reconstruction.evaluation.evaluate import score_against_truth

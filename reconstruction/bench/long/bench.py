@@ -19,10 +19,10 @@ from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
 from reconstruction.bench.conventions import kept, means
-from reconstruction.bench.long_part import cut_out
+from reconstruction.bench.long.part import cut_out
+from reconstruction.bench.long.seams import measured_seams
 from reconstruction.bench.paper.digest import this_code
-from reconstruction.bench.seams import measured_seams
-from reconstruction.bench.speed_run import SCORES, Contender, run_to_end
+from reconstruction.bench.speed.run import SCORES, Contender, run_to_end
 from reconstruction.run.spans import Span, cut
 from reconstruction.training.checkpoint import load_checkpoint
 from rigs.errors import Spike4dgsError

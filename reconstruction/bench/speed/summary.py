@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 
-from reconstruction.bench.speed_run import NEW, OLD, SCORES
+from reconstruction.bench.speed.run import NEW, OLD, SCORES
 
 ENDS, STEPS, LOADED = "ends", "steps", "loaded"
 LEVELS = (("psnr_db", "seconds_to"), ("dynamic_psnr_db", "movers_seconds_to"))

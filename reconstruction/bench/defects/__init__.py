@@ -1,0 +1,1 @@
+"""Each defect of real cameras and light, with its cure and without."""

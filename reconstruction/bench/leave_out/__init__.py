@@ -1,0 +1,1 @@
+"""A plan beside a run that leaves out nothing."""

@@ -1,0 +1,1 @@
+"""Recordings in spans, their seams, and parts of them alone."""

@@ -1,0 +1,1 @@
+"""Ours beside its rivals, each length as a run of its own."""

@@ -1,0 +1,1 @@
+"""The engine at several budgets, and one choice changed at a time."""

@@ -1,0 +1,1 @@
+"""Expected errors beside true ones."""
