@@ -26,7 +26,7 @@ LIMITS = (
     "Small 4DGS: a grid of 32 and 64 cells with 25 steps in time and a width of 64, where 64 and 128, 150 and 128 are "
     "published; opacity and colour are not deformed. `rivals` has the published field.",
     "D3DGS has 13 timesteps and some 3,000 steps in all, where 10,000 and 2,000 a timestep are published.",
-    "Small Spk2ImgNet has 0.2 M parameters and no alignment; small MSDI trained for three hours on simulated "
+    "Small Spk2ImgNet has 0.2 M parameters and no alignment; small MSDI trained for four hours on simulated "
     "scenes, in older rows for less.",
     "Image variation compares renders with target images; SPSS, as we read the paper (decision 151), spikes made of "
     "renders with recorded spikes.",
