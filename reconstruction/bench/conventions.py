@@ -1,4 +1,4 @@
-"""Holds what all benches share: recordings, the held-out camera, views, plane rates, the cache, the process apart."""
+"""Holds what all benches share: recordings, the held-out camera, views, plane rates, the cache, fresh processes."""
 
 import json
 import multiprocessing

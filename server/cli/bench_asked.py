@@ -93,5 +93,5 @@ def recording(
         command = [*THIS, "simulate"]
         command += [word for k, v in options.items() if v is not None for word in (f"--{k}", str(v))]
         if subprocess.run(command, stdout=sys.stderr).returncode:
-            raise AcquisitionError("found that simulate failed", "a recording", "its reason is above", where=path)
+            raise AcquisitionError("found that simulate failed", "a recording", "its reason is above", where=path.name)
     return path

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 
 from acquisition.bench_document import BenchDocument
+from acquisition.errors import AcquisitionError
 from acquisition.progress import Progress
 from reconstruction.bench.paper.method import Protocol
 from reconstruction.bench.paper.run import Laboratory
@@ -52,7 +53,8 @@ def run_protocol(
     """Run the cells that have no result yet, the most wanted first, and return the document of that name.
 
     Without `time_left` no cell is begun. A cell that is not begun has the row of an earlier document, by whatever code.
-    Cells that were refused or left out stand in the omissions. The summary is empty.
+    Cells that were refused or left out stand in the omissions; one whose recording cannot be made is not run. The
+    summary is empty.
     """
     document, unmade = BenchDocument(name), {}
     cells, begins = protocol.cells(), protocol.begins()
@@ -63,13 +65,19 @@ def run_protocol(
             if found is None:
                 begun = cell.name in begins and time_left()
                 found = laboratory.result(cell) if begun else laboratory.older(cell)
+        except AcquisitionError as failure:
+            found, unmade[cell.name] = None, f"{NOT_RUN}, {_line(failure)}"
         except Spike4dgsError as refusal:
-            found, unmade[cell.name] = None, " ".join(str(refusal).split())
+            found, unmade[cell.name] = None, _line(refusal)
         if found:
             (document.refused if "refused" in found else document.rows).append(found)
     _omissions(document, protocol, unmade | {name_of(row): row["refused"] for row in document.refused})
     progress(1.0, f"{len(document.rows)} of {len(cells)} runs")
     return document
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())
 
 
 def _omissions(document: BenchDocument, protocol: Protocol, refusals: Mapping[str, str]) -> None:

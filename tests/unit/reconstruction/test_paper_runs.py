@@ -7,10 +7,11 @@ from types import SimpleNamespace
 
 import pytest
 
+from acquisition.errors import AcquisitionError
 from acquisition.progress import silent
 from reconstruction.bench.paper import digest
 from reconstruction.bench.paper import run as runs
-from reconstruction.bench.paper.bench import bench_paper, timer
+from reconstruction.bench.paper.bench import bench_paper, lacks_runs, timer
 from reconstruction.bench.paper.method import Batch, Cell, Effort, Method, Protocol, Row, Table
 from reconstruction.bench.paper.run import SCORES, Laboratory
 from reconstruction.errors import BadRunError, StereoError
@@ -64,6 +65,18 @@ def test_what_was_run_is_found_again_and_what_was_refused_has_its_reason(laborat
     again = bench_paper(PROTOCOL, laboratory.own, silent)
     assert (again.rows, again.omissions, again.summary) == (document.rows, document.omissions, document.summary)
     assert len(laboratory.made) == 2
+
+
+def test_a_cell_whose_recording_cannot_be_made_was_not_run(laboratory):
+    def recording_of(scene, seed):
+        raise AcquisitionError("found that simulate failed", where=f"{scene}-{seed}")
+
+    laboratory.own.recording_of = recording_of
+    document = bench_paper(PROTOCOL, laboratory.own, silent)
+    reason = "not run yet, fan_and_ball-2: found that simulate failed (fan_and_ball-2 @10)"
+    assert f"t, good: {reason}" in document.omissions
+    assert lacks_runs(document.omissions, "t")
+    assert document.rows == document.refused == []
 
 
 def test_a_run_that_fails_is_named_and_the_bench_goes_on(laboratory, monkeypatch, capsys):

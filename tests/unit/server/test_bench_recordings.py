@@ -12,6 +12,6 @@ def test_a_recording_that_is_there_is_not_made_again(tmp_path):
 
 
 def test_a_simulation_that_fails_is_said_in_one_line(tmp_path):
-    with pytest.raises(AcquisitionError, match="nowhere-1: found that simulate failed"):
+    with pytest.raises(AcquisitionError, match=r"^nowhere-1: found that simulate failed"):
         recording("nowhere", 1, tmp_path)
     assert not list(tmp_path.iterdir())
