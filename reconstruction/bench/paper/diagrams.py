@@ -20,7 +20,7 @@ from reconstruction.bench.figures import (
 )
 from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.method import Table
-from reconstruction.bench.paper.protocol import CHAIN, MODULES, PROTOCOL
+from reconstruction.bench.paper.protocol import CHAIN, MODULES, PROTOCOL, SWEPT
 from reconstruction.bench.paper.summary import gaps
 from reconstruction.bench.paper.tables import unprinted
 from reconstruction.bench.score_run import STAGES
@@ -148,6 +148,7 @@ def _swept(rows: Sequence[dict], kind: str) -> list[tuple[str, dict[int, list[di
     for method, found in places.items():
         alike = {(r["scene"], r["seed"], r["effort"]) for some in found.values() for r in some}
         whole = [r for r in rows if r["method"] == method and (r["scene"], r["seed"], r["effort"]) in alike]
-        name = f"{method}, {HOW[kind]}" if kind in HOW else method
+        label = SWEPT.get(method, method)
+        name = f"{label}, {HOW[kind]}" if kind in HOW else label
         drawn.append((name, found | ({SWEEPS[kind][1]: whole} if whole else {})))
     return drawn

@@ -33,6 +33,7 @@ def _rows(form: str, paper: str, methods: dict[str, Method]) -> tuple[Row, ...]:
 
 
 TFI_ROWS = _rows("TFI + {}", "TFI + {}", m.TFI)
+SWEPT = {"auto": "Ours", **{row.method.name: row.label for row in TFI_ROWS if row.method}}  # what diagrams call them
 CHAIN = Table(
     "chain",
     "The paper's chain as we read it, with what a row names in place of its own",

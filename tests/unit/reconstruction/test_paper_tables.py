@@ -11,7 +11,7 @@ from reconstruction.bench.paper import methods as m
 from reconstruction.bench.paper.bench import NOT_RUN
 from reconstruction.bench.paper.diagrams import write_diagrams
 from reconstruction.bench.paper.method import Batch, Effort, Protocol, Row, Table
-from reconstruction.bench.paper.protocol import CHAIN, EQUAL
+from reconstruction.bench.paper.protocol import CHAIN, EQUAL, GAUSSIANS, RATES, SWEPT, VIEWS
 from reconstruction.bench.paper.summary import gaps, summarise
 from reconstruction.bench.paper.tables import measured_table, whole_tables, write_tables
 from reconstruction.bench.training.bench import times_to
@@ -180,3 +180,10 @@ def test_a_picture_for_each_question_that_has_an_answer(tmp_path, monkeypatch):
     found = write_diagrams(tmp_path, whole)
     assert {path.stem.removeprefix("paper-") for path in found} == {"gaussians", "rates"}
     assert write_diagrams(tmp_path, document([]).to_json()) == []
+
+
+def test_diagrams_name_each_swept_method_as_the_tables_do() -> None:
+    rows = [row for table in (VIEWS, RATES, GAUSSIANS) for row in table.rows if row.method]
+    swept = {row.method.name.split(".")[0]: row.label for row in rows if row.method}
+    assert swept.keys() == SWEPT.keys()
+    assert all(SWEPT[name] in label for name, label in swept.items() if name != "auto")
