@@ -232,7 +232,10 @@ def _trials(clip: KnownRecording) -> list[dict]:
 
 
 def _summarise(document: BenchDocument) -> None:
-    """Add means over the scenes: of each method as it is, by nominal error, views and planes; and the trials' worst."""
+    """Add means over the scenes: of each method as it is, by nominal error, views and planes; and the trials' worst.
+
+    `natural.trial.least_expected` and `most_expected`: the deviation that a calibration states over its true error.
+    """
     for name in METHODS:
         rows = [r for r in document.rows if r["method"] == name]
         for key, wanted in (("nominal", ERRORS), ("views", COUNTS), ("planes", PLANES)):
@@ -247,6 +250,9 @@ def _summarise(document: BenchDocument) -> None:
         for score in SCORES[:2]:
             worst = max((r[score] for r in trials if score in r), default=float("nan"))
             document.summary[f"natural.trial.worst_{score}"] = worst
+        stated = [r["rotation_sd_deg"] / r["rotation_deg"] for r in trials if r.get("rotation_deg")]
+        if stated:
+            document.summary |= named("natural.trial", {"least_expected": min(stated), "most_expected": max(stated)})
 
 
 def _add_means(document: BenchDocument, name: str, rows: Sequence[dict], scores: Sequence[str]) -> None:

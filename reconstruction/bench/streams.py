@@ -66,17 +66,18 @@ def simulate_lights(name: str, seed: int, rig: Rig, planes: int, levels: Sequenc
     return LitScene(scene, rig, streams)
 
 
-def slowed(stream: SpikeStream, k: int, how: Slowing) -> SpikeStream:
+def slowed(stream: SpikeStream, k: int, how: Slowing, seed: int = 0) -> SpikeStream:
     """Return the stream at a k-th of its plane rate.
 
     `drop` keeps every k-th plane and loses the light between them. `reintegrate` lets a pixel fire when it has gathered
-    k spikes, as one with a k times higher threshold would; planes after the last whole k are left out.
+    k spikes, as one with a k times higher threshold would; planes after the last whole k are left out. Each pixel has
+    gathered 0 to k - 1 spikes before the first plane, drawn by `seed`: pixels that began alike would fire in step.
     """
     rate_hz = stream.tick_rate_hz / k
     if how == "drop":
         return SpikeStream(np.ascontiguousarray(stream.packed[::k]), stream.layout, rate_hz)
     whole = len(stream) // k
-    gathered = np.zeros((stream.layout.height, stream.layout.width), dtype=np.int64)
+    gathered = np.random.default_rng(seed).integers(0, k, (stream.layout.height, stream.layout.width))
     slow = np.empty((whole, *gathered.shape), dtype=np.uint8)
     for index in range(whole):
         gathered += stream.counts(index * k, (index + 1) * k)

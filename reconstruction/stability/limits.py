@@ -40,6 +40,6 @@ def _plain(_: str) -> Observation:
 
 
 CASES = (
-    Case(None, "Gaussians stretched without end", "a tenth of their distance, finite", TOLERANCE, _sizes),
+    Case(None, "Gaussians stretched without end", "three tenths of their distance, finite", TOLERANCE, _sizes),
     Case(None, "points of plain scenes", "no fewer on texture, none unasked for", 1e-9, _plain),
 )

@@ -32,7 +32,7 @@ def changed(path: Path, out: Path, change: Change, seed: int) -> Path:
 
 
 def _write(recording: Recording, rig: Rig, change: Change, out: Path) -> None:
-    streams = {c: _slower(recording.stream(c), change) for c in recording.camera_ids}
+    streams = {c: _slower(recording.stream(c), change, n) for n, c in enumerate(recording.camera_ids)}
     total = sum(stream.packed.nbytes for stream in streams.values())
     with RecordingWriter(out, rig, total) as writer:
         for camera_id, stream in streams.items():
@@ -41,14 +41,15 @@ def _write(recording: Recording, rig: Rig, change: Change, out: Path) -> None:
         writer.commit(writer.entries(), "import")
 
 
-def _slower(stream: SpikeStream, change: Change) -> SpikeStream:
-    """Return one plane in `change.every`, the middle one of each group, so that light is seen at the right time.
+def _slower(stream: SpikeStream, change: Change, seed: int) -> SpikeStream:
+    """Return the stream of one plane for `change.every`; `seed` draws what pixels have gathered before the first one.
 
-    An even group has no middle: its planes are half a plane late.
+    Where planes are dropped the middle one of each group is left, so that light is seen at the right time. An even
+    group has no middle: its planes are half a plane late.
     """
     if change.every == 1:
         return stream
     if change.slowing == "drop":
         whole = len(stream) // change.every * change.every
         stream = SpikeStream(stream.packed[change.every // 2 : whole], stream.layout, stream.tick_rate_hz)
-    return slowed(stream, change.every, change.slowing)
+    return slowed(stream, change.every, change.slowing, seed)

@@ -39,7 +39,7 @@ NOVEL_VIEW: Mapping[str, Figures] = {
     "Dy-SpikeGS": quality(23.31, 0.835),
     "TFI + D3DGS": quality(20.34, minutes=19),
     "TFI + STG": quality(24.70, minutes=24),
-    "TFI + 4DGS": quality(26.00, 0.893, 22),
+    "TFI + 4DGS": quality(26.00, minutes=22),
     "TFI + COLMAP + 4DGS": quality(21.08, 0.849),
     "MSDI image + COLMAP + 4DGS": quality(22.43, 0.854),
     "MSDI image + DUSt3R + 4DGS": quality(25.76, 0.898),

@@ -28,9 +28,12 @@ def name_of(row: dict) -> str:
 
 
 def gaps(rows: Sequence[dict], one: str, other: str, effort: str, score: str = "psnr_db") -> list[float]:
-    """Return how many dB a method lies above another on each recording that both have at an effort."""
+    """Return how many dB a method lies above another on each recording that both have at an effort.
+
+    Rows of unlike processors are not compared (decision 85).
+    """
     own = [row for row in rows if row["effort"] == effort and score in row]
-    levels = {(r["method"], r["scene"], r["seed"]): r[score] for r in own}
+    levels = {(r["method"], r["scene"], r["seed"], r.get("processor")): r[score] for r in own}
     ones = {key[1:]: level for key, level in levels.items() if key[0] == one}
     return [level - levels[other, *key] for key, level in ones.items() if (other, *key) in levels]
 

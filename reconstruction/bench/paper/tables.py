@@ -19,8 +19,8 @@ COLUMNS = (
     *("Gaussians", "seconds", "runs", PAPER),
 )
 ABOUT = (
-    "To the first row: dB, on the recordings that both have. Spread: lowest to highest of the recordings; ± the "
-    "deviation over seeds of one scene."
+    "To the first row: dB, on the recordings that both have; none where they ran on unlike processors. Spread: lowest "
+    "to highest of the recordings; ± the deviation over seeds of one scene."
 )
 LIMITS = (
     "Small 4DGS: a grid of 32 and 64 cells with 25 steps in time and a width of 64, where 64 and 128, 150 and 128 are "

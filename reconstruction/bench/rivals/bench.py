@@ -64,12 +64,10 @@ NEAR = (m.AUTO.name, OURS_STG.name)
 GROUPS = {
     "development": Group("Scenes that ours was developed on", (*DEVELOPMENT, *REALISTIC), (SHORT, SHORTEST)),
     "half-hour": Group("Half an hour, for what makes few steps in a minute", REALISTIC[-1:], (HALF_HOUR,), SLOW),
-    "new": Group("Scenes that nobody had run", REALISTIC_EVALUATION, (SHORT, SHORTEST)),
-    "new-seeds": Group("Those scenes by three seeds each", REALISTIC_EVALUATION, (SHORT,), NEAR, (0, 1, 2)),
-    "old": Group("Scenes that have been looked at", EVALUATION, (SHORT, SHORTEST)),
-    "new-long": Group(
-        "Up to five minutes, on two scenes that nobody had run", REALISTIC_EVALUATION[:2], (LONG, SHORT, SHORTEST)
-    ),
+    "new": Group("New scenes, path-traced, first run on 28 November 2026", REALISTIC_EVALUATION, (SHORT, SHORTEST)),
+    "new-seeds": Group("New scenes by three seeds each", REALISTIC_EVALUATION, (SHORT,), NEAR, (0, 1, 2)),
+    "old": Group("Old scenes, looked at often", EVALUATION, (SHORT, SHORTEST)),
+    "new-long": Group("Up to five minutes, on two new scenes", REALISTIC_EVALUATION[:2], (LONG, SHORT, SHORTEST)),
 }
 SCORES = ("psnr_db", "dynamic_psnr_db")
 ABOUT = "True poses but in the last row."
