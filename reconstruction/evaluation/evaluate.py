@@ -101,7 +101,9 @@ def score_floors(
         plain = {k: v for k, v in score_view(nearest, frame, truth.white).items() if "delta" not in k}
         return plain, score_view(blend, frame, truth.white)  # the nearest view knows no depth
 
-    views = ((plane, [(camera, source.at(plane)) for camera, source in near]) for plane in planes)
+    last = held_out.recording.planes - 1
+    seen = {plane: min(max(round(plane - truth.lag_ticks), 0), last) for plane in planes}  # at the instant of the truth
+    views = ((plane, [(camera, source.at(seen[plane])) for camera, source in near]) for plane in planes)
     rows = []
     for row in shared_out(scored, views):
         rows.append(row)

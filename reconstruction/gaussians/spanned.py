@@ -19,7 +19,7 @@ from reconstruction.gaussians.dynamic import UNSAID_PX2, DynamicCloud
 from reconstruction.gaussians.polynomial import PolynomialMotion
 from reconstruction.gaussians.stored import restored, stored
 from reconstruction.rendering.result import GUARDS, Instantaneous
-from reconstruction.scene_model import Rate, TimeSpan, View
+from reconstruction.scene_model import Rate, TimeSpan, View, gain_at
 from rigs.camera import Camera
 
 OWN = ("opacity_logits", "intensities")  # of a still Gaussian, what a span may change: its presence and its light
@@ -45,14 +45,14 @@ class SpanCloud(DynamicCloud):
 
     def at(self, instant_s: float) -> Instantaneous:
         """Return all Gaussians at one instant of the rig clock; differentiable in what is learnt."""
-        return Instantaneous(*(torch.cat(pair) for pair in zip(self._given_now, super().at(instant_s), strict=True)))
+        pairs = zip(self._given_at(instant_s), super().at(instant_s), strict=True)
+        return Instantaneous(*(torch.cat(pair) for pair in pairs))
 
-    @property
-    def _given_now(self) -> Instantaneous:
-        given = self.common
-        return Instantaneous(
-            given.means, given.quats_wxyz, given.log_scales, given.opacity_logits.sigmoid(), given.intensities
-        )
+    def _given_at(self, instant_s: float) -> Instantaneous:
+        given, light = self.common, self.common.intensities
+        if len(self.light) > 1:
+            light = light * gain_at(self.light, self.clip.fraction(instant_s))
+        return Instantaneous(given.means, given.quats_wxyz, given.log_scales, given.opacity_logits.sigmoid(), light)
 
     def rates(self) -> Mapping[str, Rate]:
         """Return the learning rate of every tensor that is learnt, by name."""

@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from reconstruction.gaussians.cloud import GaussianCloud
@@ -58,10 +59,12 @@ class Judgement:
 def judge(seeds: Seeds, views: Sequence[View], clock: RigClock, still: GaussianCloud | None = None) -> Judgement:
     """Return how well each of the bodies of `seeds` explains what the training cameras counted.
 
-    `still` is the still scene, where it is more than points.
+    `still` is the still scene, where it is more than points. Both models are seen in the light that the views saw.
     """
     bodies, starts = seeds.bodies(), [seed_rigid(seeds), seed_cloud(seeds)]
     clouds = starts if still is None else [replace(start, still=still) for start in starts]
+    if views and views[0][1].light.flickers:
+        clouds = [replace(cloud, light=torch.from_numpy(views[0][1].light.gains)) for cloud in clouds]
     sums = np.zeros((2, len(bodies)))
     sees = [view for view in views if view[1].moving.any()]
     for camera, source in sees[:: max(1, -(-len(sees) // VIEWS))] if len(bodies) else ():

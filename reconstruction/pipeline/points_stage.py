@@ -10,6 +10,7 @@ from acquisition.recording.reader import Recording
 from reconstruction.errors import StereoError
 from reconstruction.images.background import WINDOWS, dimming
 from reconstruction.images.composite import CompositeSource, shrunk
+from reconstruction.images.flicker import DARK
 from reconstruction.images.noise import still_sigma
 from reconstruction.images.scarce import calm_side, calmed
 from reconstruction.initialization.beyond import empty, is_open, searched, with_sky
@@ -163,14 +164,18 @@ def moving_points(
     count: int,
     rng: np.random.Generator,
 ) -> Points:
-    """Return points of movers `at` a plane and its instant in seconds, swept at half resolution."""
+    """Return points of movers `at` a plane and its instant in seconds, swept at half resolution.
+
+    Their light is that under the usual light of the scene.
+    """
     plane, instant_s = at
     half = [c.scaled(max(1, c.width // 2), max(1, c.height // 2)) for c in cameras]
 
     def look(one: tuple[CompositeSource, Camera]) -> tuple[Image, Mask]:
         source, small = one
         whole = source.at(plane)
-        return shrunk(whole, small), shrunk(source.movers(whole, plane).astype(np.float32), small) > 0.5
+        usual = whole / max(source.light.gains[plane], DARK) if source.light.flickers else whole
+        return shrunk(usual, small), shrunk(source.movers(whole, plane).astype(np.float32), small) > 0.5
 
     images, wanted = zip(*each(look, zip(sources.values(), half, strict=True)), strict=True)
     near, far = depth_range_m(cameras)

@@ -52,8 +52,16 @@ def poses_stage(run: RunFolder, recording: Recording, progress: Progress) -> Non
 
 
 def _refine(run: RunFolder, reason: str) -> None:
-    """Have training refine the poses, unless that was forbidden."""
-    if run.config.refine != "off":
+    """Have training refine the poses, unless that was forbidden.
+
+    Spans, each of which is learnt by itself, take them as they are.
+    """
+    if run.config.refine == "off":
+        return
+    if run.plan.spans:
+        choice, way = "none: spans are learnt with the cameras as they are", "--span, or --refine on without spans"
+        run.amend("poses", Decision("refinement", choice, f"{reason}; calibrate the rig for better ones", way))
+    else:
         decision = Decision("refinement", "poses, gains and lags in training", reason, "--refine")
         run.amend("poses", decision, refine=True)
 

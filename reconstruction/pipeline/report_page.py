@@ -62,7 +62,7 @@ def _pictures(trained: Trained, uncertainty: Uncertainty | None) -> list[list[di
     (run.path / "thumbnails").mkdir(exist_ok=True)
 
     def drawn(plane: int) -> list[dict]:
-        instant_s = recording.rig.clock.instant_s(plane)
+        instant_s = recording.rig.clock.instant_s(plane - (truth.lag_ticks if truth else 0.0))
         view = trained.cloud.look(camera, instant_s)
         near, far = depth_span_m(view.depth)
         frame = truth.frame(camera.id, plane) if truth else None

@@ -41,10 +41,13 @@ def reconstruct(
     recording = (open_growing if grows else Recording.open)(recording_path).part(config.from_tick, config.to_tick)
     if config.holdout is not None:
         recording.rig.camera(config.holdout)
-    if again is not None and stage is not None:
-        RunFolder.open(out).forget(STAGES[STAGES.index(stage) :], again)
-    run = RunFolder.start(out, config, recording_path, code_revision())
+    undone = STAGES[STAGES.index(stage) :] if again and stage is not None else ()
+    if undone:
+        RunFolder.open(out)  # raises where there is nothing to undo
+    run = RunFolder.start(out, config, recording_path, code_revision(), attempt=(again or 0) if undone else 0)
     with run.locked():
+        if undone:
+            run.forget(undone, again or 0)
         spent_s = float(sum(run.document.seconds.values()))  # by stages that earlier processes finished
         budget = Budget(time.monotonic, began, spent_s, config.budget_s, config.steps)
         for name in _due(run, stage, last):
@@ -75,10 +78,10 @@ def reconstruct_part(
     """
     if config.device == CUDA:
         _expect_device()
-    run = RunFolder.open(out)
-    if again is not None:
+    RunFolder.open(out)  # raises where there is no run
+    run = RunFolder.start(out, config, recording_path, code_revision(), attempt=again or 0)
+    if again:
         run.forget(STAGES[STAGES.index("train") :], again)
-    run = RunFolder.start(out, config, recording_path, code_revision())
     if not _due(run, "train", STAGES[-1]):
         return False
     if not run.plan.spans:

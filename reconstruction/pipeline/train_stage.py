@@ -85,7 +85,10 @@ def train_stage(
             saver.checkpoint()
             raise StoppedError(f"stopped at step {trainer.steps}", do="the same command resumes it", where=run.path)
 
-    train(trainer, lambda: trainer.done(budget.done(trainer.steps)), on_step)
+    if trainer.steps and trainer.done(budget.done(trainer.steps)) >= 1:  # killed after its last step
+        saver.keep(1.0)
+    else:
+        train(trainer, lambda: trainer.done(budget.done(trainer.steps)), on_step)
     saver.checkpoint()
     preview.draw(trainer.result(), trainer.steps)
     if trainer.ending and budget.done(trainer.steps) < 1:

@@ -24,6 +24,7 @@ MAPS, EVEN = "maps", "even"  # what is taken of single pixels: what a calibratio
 PIXELS = (MAPS, EVEN)
 SWEPT, FOUND, RANDOM = "swept", "found", "random"  # points: of our plane sweep, of the initialiser, at random depths
 POINTS = (SWEPT, FOUND, RANDOM)
+SEEDS = 2**31  # all that OpenCV takes
 CUDA = "cuda"  # the device on which gsplat renders; nothing ever ran on one, so that auto is the processor
 CHOICES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -89,10 +90,12 @@ class ReconstructionConfig:
             raise BadRunError(found, "a model of Gaussians: rays are marched on the processor alone", do)
         if (self.budget_s is None) == (self.steps is None):
             raise BadRunError("found both or neither of a budget in seconds and a number of steps", "one of them")
-        if self.budget_s is not None and not self.budget_s > 0:
+        if self.budget_s is not None and not 0 < self.budget_s < math.inf:
             raise BadRunError(f"found the budget {self.budget_s} s", "a positive number")
         if self.steps is not None and self.steps < 1:
             raise BadRunError(f"found {self.steps} steps", "at least 1")
+        if not 0 <= self.seed < SEEDS:
+            raise BadRunError(f"found the seed {self.seed}", f"one of 0 to {SEEDS - 1}")
         if self.gaussians is not None and self.gaussians < 1:
             raise BadRunError(f"found a cap of {self.gaussians} Gaussians", "at least 1")
         if not all(0 < factor < math.inf for factor in self.rates):
@@ -108,6 +111,8 @@ class ReconstructionConfig:
         if self.from_tick is not None and self.to_tick is not None and self.from_tick >= self.to_tick:
             found = f"found the ticks {self.from_tick} to {self.to_tick}"
             raise BadRunError(found, "at least one", "change --from-tick or --to-tick")
+        if len(set(self.views)) < len(self.views):
+            raise BadRunError(f"found the views {', '.join(self.views)}", "each camera once", "change --views")
         if self.holdout is not None and self.holdout in self.views:
             raise BadRunError(
                 f"found {self.holdout} both held out and among the training views", do="leave it out of one"

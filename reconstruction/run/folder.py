@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -19,6 +19,17 @@ from reconstruction.run.document import SCHEMA, RunDocument
 from reconstruction.run.parts import PartFolder
 
 PREVIEW = "preview.png", "preview.json"  # what a training shows of itself, and how far it was
+MAY_LACK: Mapping[str, tuple[str, ...]] = {  # files by stage that not every attempt writes, or that tell of a training
+    "poses": ("poses/rig.toml", "poses/points_*.npy"),
+    "points": ("points/gains.npy", "points/empty_*.npy", "points/bodies_*.npy"),
+    "train": ("poses/refined.toml", "evidence.pt"),
+    "report": ("poses/held_out.toml",),
+}
+TOLD: Mapping[str, tuple[str, ...]] = {  # what `run.json` has of each stage's results
+    "poses": ("poses",),
+    "points": ("bodies",),
+    "train": ("steps", "elements", "stopped_early", "refinement"),
+}
 
 
 class RunFolder:
@@ -29,15 +40,20 @@ class RunFolder:
         self.document = document
 
     @classmethod
-    def start(cls, path: Path, config: ReconstructionConfig, recording: Path, revision: str) -> RunFolder:
-        """Make a new run, or resume an unfinished one with the same configuration; refuse any other folder."""
+    def start(
+        cls, path: Path, config: ReconstructionConfig, recording: Path, revision: str, *, attempt: int = 0
+    ) -> RunFolder:
+        """Make a new run, or resume an unfinished one with the same configuration; refuse any other folder.
+
+        A finished one is resumed only by an `attempt` that is yet to `forget` stages of it.
+        """
         if (path / "run.json").exists():
             run = cls.open(path)
-            if run.document.status == "finished":
+            if run.document.status == "finished" and attempt <= run.document.attempt:
                 raise BadRunError("found a finished run", "a new folder", "give another --out", where=path)
             if run.config != config or run.recording != recording.resolve():
                 raise BadRunError(
-                    "found an unfinished run with another configuration or recording",
+                    f"found a run ({run.document.status}) with another configuration or recording",
                     do="repeat its options to resume it, or give another --out",
                     where=path,
                 )
@@ -108,15 +124,21 @@ class RunFolder:
     def forget(self, stages: Sequence[str], attempt: int) -> None:
         """Undo `stages`, so that they are run anew; once for each number of `attempt`, which grows.
 
-        Later stages write over what earlier attempts left; only what they would resume from is removed.
+        A stage writes over what an earlier attempt left; what it may not write again (MAY_LACK) is removed, and so is
+        what it would resume from.
         """
         if self.document.attempt >= attempt:
             return
         self.document.status = "unfinished"
+        for told in (told for stage in stages for told in TOLD.get(stage, ())):
+            setattr(self.document, told, None)
+        self.document.amendments = [a for a in self.document.amendments if a.stage not in stages]
         for by_stage in (self.document.seconds, self.document.warnings):
             for stage in stages:
                 by_stage.pop(stage, None)
         self.save()
+        for path in (path for stage in stages for name in MAY_LACK.get(stage, ()) for path in self.path.glob(name)):
+            path.unlink(missing_ok=True)
         if "train" in stages:
             for path in [self.checkpoint, *self.snapshots(), *(self.path / name for name in PREVIEW)]:
                 path.unlink(missing_ok=True)

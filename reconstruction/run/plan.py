@@ -52,6 +52,9 @@ def make_plan(
     spans, masks = find_spans(seen, light, spans, part(progress, LIGHT_SHARE, MASKS_SHARE))
     if len(spans) > 1:
         decisions.append(say_spans(spans, shares_of(masks), _share(masks)))
+    elif config.span is not None and config.span < len(streams[views[0]]):
+        reason = "it is at rest, or learnt by what spans do not know: see the supervision, model, refinement and points"
+        decisions.append(Decision("spans", "one, the whole", reason, "--span"))
     _say_scarce([streams[view] for view in views], decisions)
     work = _work(config, rig, streams, views)
     model = _choose_model(config, masks, work, decisions)
@@ -144,6 +147,9 @@ def _choose_window(
         streams[v].counts(0, len(streams[v]))[mask].mean() / len(streams[v]) for v, mask in masks.items() if mask.any()
     ]
     if images != "interpolated" or not lit:
+        if config.window:
+            reason = "nothing moves" if not lit else f"the images are {images}"
+            decisions.append(Decision("windows", f"{config.window} planes, not used", reason, "--window"))
         return PLANES
     rate = max(float(np.mean(lit)), 1e-9)
     most = max(LEAST_WINDOW, _odd(WINDOW_S * rig.tick_rate_hz))
@@ -224,11 +230,23 @@ def _training_views(
             decisions.append(Decision("views", f"{view} skipped", reason, "--views", spared_s))
         else:
             lit.append(view)
+    _refuse_odd(rig, lit)
     if len(lit) < LEAST_VIEWS:
         raise BadRunError(
             f"found {len(lit)} training views with light", f"{LEAST_VIEWS} or more", "record again or name others"
         )
     return tuple(lit)
+
+
+def _refuse_odd(rig: Rig, views: Sequence[str]) -> None:
+    """Refuse pictures of several sizes, which no stage compares."""
+    sizes = {view: (rig.camera(view).width, rig.camera(view).height) for view in views}
+    usual = max(set(sizes.values()), key=list(sizes.values()).count, default=None)
+    odd = {view: size for view, size in sizes.items() if size != usual}
+    if odd and usual:
+        named = ", ".join(f"{view} {width}x{height}" for view, (width, height) in odd.items())
+        expected = f"{usual[0]}x{usual[1]} px, as the other views"
+        raise BadRunError(f"found pictures of several sizes: {named}", expected, "leave those out with --views")
 
 
 def _refuse_twins(views: Sequence[str], streams: Mapping[str, SpikeStream]) -> None:

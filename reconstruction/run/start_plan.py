@@ -19,6 +19,8 @@ def init_of(config: ReconstructionConfig, rig: Rig) -> str:
 def choose_init(config: ReconstructionConfig, rig: Rig, work: Work, decisions: list[Decision]) -> str:
     """Return the name of the initialiser, and say so where nobody asked for it."""
     init = init_of(config, rig)
+    if config.dust3r_checkpoint and init != "dust3r":
+        decisions.append(Decision("checkpoint", "not read", f"the poses are those of {init}", "--init dust3r"))
     if config.init != "auto":
         return init
     choice = "found by natural" if init == "natural" else "not estimated"

@@ -38,6 +38,9 @@ def images_command(source: Path, name: str, weights: Path | None, ticks: range |
     estimate = method(name, weights)
     pixels: dict[str, PixelCalibration] = {}
     if source.is_dir():
+        if given := [f"--{key.replace('_', '-')}" for key, value in bare.items() if value]:
+            found, do = f"found {' and '.join(given)} for a recording", "leave them out"
+            raise BadRecordingError(found, "none: its manifest says how it is", do, where=source)
         recording = Recording.open(source)
         streams = {camera_id: recording.stream(camera_id) for camera_id in recording.camera_ids}
         pixels = {camera.id: read_pixels(camera.pixels) for camera in recording.rig.cameras if camera.pixels}

@@ -127,3 +127,11 @@ def test_one_way_of_calibrating_is_asked_for(spike4dgs, lab, tmp_path, capsys):
     both = ("--natural", "--board", "charuco:6x4:100:67.5:DICT_4X4_50")
     assert spike4dgs("calibrate", lab / "flat", *both, "--out", tmp_path / "rig.toml") == 2
     assert "one of --pixels, --board and --natural" in capsys.readouterr().err
+
+
+def test_a_recording_is_not_told_what_its_manifest_says(spike4dgs, lab, capsys):
+    rec = lab / "fan_and_ball"
+    words = ("images", rec, "--method", "tfp", "--out", lab / "never", "--size", "7x7", "--tick-rate", "3")
+    assert spike4dgs(*words) == 2
+    assert "found --size and --tick-rate for a recording, expected none" in capsys.readouterr().err
+    assert not (lab / "never").exists()

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from dataclasses import replace
 
 import cv2
@@ -217,3 +218,31 @@ def test_a_budget_that_was_over_before_training_is_a_warning(recording, tmp_path
 def test_a_run_whose_budget_reached_training_has_no_warning(run):
     assert run.document.warnings == {}
     assert 'class="warning"' not in (run.path / "report.html").read_text()
+
+
+def held(path):
+    return {file: file.read_bytes() for file in sorted(path.rglob("*")) if file.is_file() and file.name != ".lock"}
+
+
+def test_a_refused_repetition_leaves_a_finished_run_as_it_was(run, recording):
+    before = held(run.path)
+    with pytest.raises(BadRunError, match="another configuration"):
+        reconstruct(recording, run.path, replace(CONFIG, steps=61), quiet, stage="train", again=1)
+    with run.locked(), pytest.raises(BadRunError, match="another process"):
+        reconstruct(recording, run.path, CONFIG, quiet, stage="train", again=1)
+    with pytest.raises(BadRunError, match=r"no readable run\.json"):
+        reconstruct(recording, run.path / "nothing", CONFIG, quiet, stage="train", again=1)
+    assert held(run.path) == before
+
+
+def test_a_training_that_was_killed_after_its_last_step_makes_no_other(run, recording, tmp_path):
+    shutil.copytree(run.path, tmp_path / "run")
+    cut = RunFolder.open(tmp_path / "run")
+    cut.document.status = "unfinished"
+    del cut.document.seconds["train"], cut.document.seconds["report"]
+    cut.save()
+    resumed = reconstruct(recording, cut.path, CONFIG, quiet, last="train")
+    assert resumed.document.steps == 60
+    assert [file.name for file in resumed.snapshots()] == [file.name for file in run.snapshots()]
+    one, other = load_cloud(run.checkpoint), load_cloud(resumed.checkpoint)
+    assert torch.equal(one.still.means, other.still.means)

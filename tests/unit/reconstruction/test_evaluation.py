@@ -1,11 +1,14 @@
 import json
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
 from reconstruction.errors import BadRunError
+from reconstruction.evaluation.evaluate import score_floors
 from reconstruction.evaluation.floors import confirmed, depth_blend, nearest_view
 from reconstruction.initialization.sweep import SweepOptions
 from reconstruction.metrics.image import psnr_db
@@ -129,3 +132,22 @@ def test_truth_that_is_not_there_is_refused(tmp_path):
     (tmp_path / "truth" / "cam11" / "depth_000020.npy").write_bytes(b"")
     with pytest.raises(BadRunError, match="at plane 20"):
         truth.frame("cam11", 20)
+
+
+@pytest.mark.parametrize(("lag_ticks", "expected"), [(0.0, [3, 9]), (-4.4, [7, 9]), (5.0, [0, 4])])
+def test_floors_see_the_instant_of_the_truth(wall, lag_ticks, expected):
+    views, wanted, (truth_light, depth) = wall
+    asked = []
+
+    def source(image):
+        return SimpleNamespace(at=lambda plane: asked.append(plane) or image)
+
+    frame = SimpleNamespace(intensity=truth_light, depth=depth, moving=np.zeros((H, W), bool))
+    truth: Any = SimpleNamespace(
+        planes=lambda _: [3, 9], frame=lambda *_: frame, lag_ticks=lag_ticks, white=0.6, metre=1.0, gain=1.0
+    )
+    held_out: Any = SimpleNamespace(camera=wanted, recording=SimpleNamespace(planes=10))
+    sources: Any = {str(i): (camera, source(image)) for i, (camera, image) in enumerate(views)}
+    scores = score_floors(held_out, truth, sources)
+    assert sorted(set(asked)) == expected
+    assert scores["depth_blend.psnr_db"] > scores["nearest_view.psnr_db"]

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,10 +11,13 @@ import torch
 from reconstruction.gaussians.cloud import GaussianCloud
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.gaussians.polynomial import PolynomialMotion
+from reconstruction.images.flicker import Light
 from reconstruction.initialization.bodies import UNLIKE, Bodies
 from reconstruction.initialization.judging import LEAST_SPIKES, WIDEST_PX, between, judge, square_px
 from reconstruction.initialization.points import Points, Seeds
 from reconstruction.initialization.seeding import seed_cloud, seed_rigid
+from reconstruction.pipeline import points_stage
+from reconstruction.pipeline.points_stage import moving_points
 from tests.unit.reconstruction.test_supervision import CAMERA, CLIP, CLOCK, cloud, seen
 
 PLANES = (8, 24, 40, 56)  # at which movers are swept
@@ -134,3 +138,27 @@ def test_instants_between_neighbours():
 @pytest.mark.parametrize(("spikes", "side"), [(9.0, 1), (1.0, 1), (0.9, 3), (LEAST_SPIKES / 25, 5), (0.0, WIDEST_PX)])
 def test_pixels_that_seldom_fire_are_judged_in_squares(spikes, side):
     assert square_px(spikes) == side
+
+
+def test_flickering_light_changes_no_verdict(truth, view):
+    gains = np.where(np.arange(len(view.source.stream)) % 24 < 12, 0.4, 1.6).astype(np.float32)
+    lit = replace(truth, light=torch.from_numpy(gains))
+    flickering = replace(seen(lit).source, light=Light(gains), moving=view.source.moving)
+    steady, found = (
+        judge(seeds(truth, SPEED), [(view.camera, source)], CLOCK, truth.still) for source in (view.source, flickering)
+    )
+    assert found.kept.tolist() == [0]
+    assert found.ratio == pytest.approx(steady.ratio, abs=0.1)
+    assert steady.ratio < 0.9
+
+
+def test_points_of_movers_have_the_light_that_they_would_have_without_flicker(view, monkeypatch):
+    gains = np.where(np.arange(len(view.source.stream)) % 2, 0.5, 1.5).astype(np.float32)
+    swept = []
+    monkeypatch.setattr(points_stage, "swept_maps", lambda cameras, images, *_: swept.extend(images))
+    monkeypatch.setattr(points_stage, "sample_points", lambda *_: None)
+    source = SimpleNamespace(light=Light(gains), white=0.9, movers=lambda *_: view.source.moving)
+    source.at = lambda plane: np.full((CAMERA.height, CAMERA.width), 0.3 * gains[plane], np.float32)
+    for plane in (8, 9):
+        moving_points({"cam00": source}, [CAMERA], (plane, 0.0), 10, np.random.default_rng(0))
+    assert [image.mean() for image in swept] == pytest.approx([0.3, 0.3], rel=1e-6)

@@ -373,3 +373,40 @@ def test_a_long_recording_is_in_one_piece_where_its_points_are_not_swept(points)
     plan, *_ = make_plan(ReconstructionConfig(**long), RIG, streams(moving=True))
     assert len(plan.spans) > 1
     assert plan.points == "swept"
+
+
+@pytest.mark.parametrize(
+    ("choices", "said"),
+    [
+        ({"seed": -1}, "found the seed -1, expected one of 0 to 2147483647"),
+        ({"seed": 2**31}, "found the seed 2147483648"),
+        ({"budget_s": float("inf")}, "found the budget inf s"),
+        ({"budget_s": float("nan")}, "found the budget nan s"),
+        ({"views": ("cam00", "cam01", "cam00")}, "found the views cam00, cam01, cam00, expected each camera once"),
+    ],
+)
+def test_choices_that_a_later_stage_would_fail_on_are_refused(choices, said):
+    with pytest.raises(BadRunError, match=said):
+        ReconstructionConfig(**choices)
+
+
+def test_pictures_of_several_sizes_are_refused_by_name():
+    cameras = tuple(c.scaled(20, 13) if c.id == "cam12" else c for c in RIG.cameras)
+    rig = dataclasses.replace(RIG, cameras=cameras)
+    with pytest.raises(BadRunError, match=r"several sizes: cam12 20x13, expected 40x26 px.*--views"):
+        make_plan(ReconstructionConfig(), rig, streams())
+    plan, _, _ = make_plan(ReconstructionConfig(holdout="cam12"), rig, streams())
+    assert len(plan.views) == 8
+
+
+@pytest.mark.parametrize(
+    ("choices", "about", "choice"),
+    [
+        ({"images": "tfp", "window": 21}, "windows", "21 planes, not used"),
+        ({"supervision": "l1", "span": 100}, "spans", "one, the whole"),
+        ({"dust3r_checkpoint": "weights.pth"}, "checkpoint", "not read"),
+    ],
+)
+def test_an_option_that_changes_nothing_is_said(choices, about, choice):
+    plan, _, _ = make_plan(ReconstructionConfig(**choices), RIG, streams(moving=True))
+    assert [d.choice for d in plan.decisions if d.about == about] == [choice]

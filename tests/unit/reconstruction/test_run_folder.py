@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,10 +7,12 @@ import pytest
 from acquisition.durable import write_durably
 from acquisition.errors import DiskError
 from reconstruction.errors import BadRunError
+from reconstruction.pipeline.poses_stage import _refine
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.decisions import Decision, Plan
 from reconstruction.run.document import BodyCounts, Elements
 from reconstruction.run.folder import RunFolder
+from reconstruction.run.spans import Span
 from reconstruction.tensors import write_tensors
 from reconstruction.training.checkpoint import load_checkpoint
 
@@ -166,3 +169,50 @@ def test_a_run_of_an_earlier_revision_is_read(tmp_path):
     assert old.document.held_out_used is None
     assert (old.document.steps, old.document.elements) == (7, Elements("cells", 3, 4))
     assert old.document.bodies == BodyCounts(1, 2, {"far": 3})
+
+
+def test_forgetting_undoes_what_a_stage_told_and_what_another_attempt_may_lack(tmp_path):
+    run = start(tmp_path)
+    run.document.planned, run.document.poses, run.document.steps = PLAN, {"init": "sweep"}, 7
+    run.amend("poses", Decision("poses", "nominal, as given", "refused", "--init"), init="sweep")
+    run.amend("train", LINEAR, model="linear")
+    kept = ("plan/light.npy", "poses/elsewhere.toml", "images/uneven.npy")
+    gone = ("poses/rig.toml", "poses/refined.toml", "poses/held_out.toml", "points/empty_cam00.npy", "evidence.pt")
+    for name in (*kept, *gone):
+        (run.path / name).parent.mkdir(exist_ok=True)
+        (run.path / name).write_text("of the first attempt")
+    run.forget(["train", "report"], 1)
+    assert (run.plan.model, run.plan.init, run.document.steps) == ("bases", "sweep", None)
+    assert [(run.path / name).exists() for name in gone] == [True, False, False, True, False]
+    run.forget(["poses", "images", "points", "train", "report"], 2)
+    assert RunFolder.open(run.path).document.amendments == []
+    assert run.document.poses is None
+    assert not any((run.path / name).exists() for name in gone)
+    assert all((run.path / name).exists() for name in kept)
+
+
+def test_only_an_attempt_to_come_resumes_a_finished_run(tmp_path):
+    run = start(tmp_path)
+    run.finish_stage("report", 1.0, last=True)
+
+    def resumed(attempt, config=CONFIG):
+        return RunFolder.start(run.path, config, tmp_path / "rec", "revision", attempt=attempt)
+
+    assert resumed(1).document.status == "finished"
+    with pytest.raises(BadRunError, match=r"a run \(finished\) with another configuration"):
+        resumed(1, ReconstructionConfig(steps=6, budget_s=None))
+    run.forget(["report"], 1)
+    run.finish_stage("report", 1.0, last=True)
+    with pytest.raises(BadRunError, match="found a finished run"):
+        resumed(1)
+
+
+@pytest.mark.parametrize(("spans", "refines"), [((), True), ((Span(0, 200), Span(200, 400)), False)])
+def test_poses_in_doubt_are_refined_in_one_piece_alone(tmp_path, spans, refines):
+    run = start(tmp_path)
+    run.document.planned = replace(PLAN, spans=spans)
+    _refine(run, "they are nominal")
+    assert run.plan.refine is refines
+    (said,) = (d for d in run.plan.decisions if d.about == "refinement")
+    assert "they are nominal" in said.reason
+    assert said.choice.startswith("poses, gains and lags" if refines else "none: spans")

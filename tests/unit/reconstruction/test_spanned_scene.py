@@ -171,3 +171,19 @@ def test_what_a_span_has_learnt_is_shown_as_it_was_learnt():
     a, b = (one.look(CAMERA, 0.05) for one in (shown, cloud))
     assert torch.allclose(torch.from_numpy(a.intensity), torch.from_numpy(b.intensity), atol=1e-6)
     assert shown.part(0).still.opacity_logits[5] == -9.0
+
+
+def test_the_given_gaussians_of_a_span_are_learnt_in_the_light_that_they_are_shown_in():
+    cloud, still = learning(), gaussians(9, 4)
+    cloud.light = torch.tensor([0.5, 1.5])
+    changed, others = torch.tensor([0, 5, 8]), torch.tensor([1, 2, 3, 4, 6, 7])
+    for name in vars(still):
+        getattr(still, name)[changed] = getattr(cloud.still, name)
+        getattr(still, name)[others] = getattr(cloud.common, name)
+    shown = SpannedScene(still, [SpanContent.of(SPANS[0], changed, cloud)], SPANS[0], cloud.light)
+    for share, gain in ((0.25, 0.5), (0.75, 1.5)):
+        instant_s = SPANS[0].first_s + share * (SPANS[0].last_s - SPANS[0].first_s)
+        given = cloud.at(instant_s).intensities[: cloud.given]
+        assert torch.equal(given, gain * cloud.common.intensities)
+        a, b = (one.look(CAMERA, instant_s).intensity for one in (shown, cloud))
+        assert torch.allclose(torch.from_numpy(a), torch.from_numpy(b), atol=1e-6)
