@@ -100,7 +100,7 @@ def made_aside(path: Path) -> Iterator[Path]:
     except OSError as error:
         if old.exists():
             old.rename(path)
-        raise DiskError(f"cannot be written ({error.strerror})", "room and permission", where=path) from error
+        raise DiskError(f"cannot be written ({error.strerror or error})", "room and permission", where=path) from error
     finally:
         _remove(aside)
         _remove(old)

@@ -18,6 +18,8 @@ from rigs.toml import catalog_rig, load_rig
 STAGE_COMMAND = (sys.executable, "-P", "-m", "server.cli")
 _HOST = re.compile(r"([a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?|\[[0-9a-f:.]{2,45}\])(:\d{1,5})?")
 
+_RIG = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")  # its name is part of addresses, and a folder's
+
 
 class SettingsError(Spike4dgsError):
     """A flag or environment variable the service cannot run with."""
@@ -50,6 +52,13 @@ def _host_name(host: str) -> str:
     if not _HOST.fullmatch(host):
         raise ValueError(f"found {host[:60]}, expected the name of a host, with or without :PORT")
     return host
+
+
+def _rig_id(name: str) -> str:
+    if not _RIG.fullmatch(name):
+        expected = "at most 64 letters, digits, dots, dashes and underscores, a letter or digit first"
+        raise ValueError(f"found the rig's name {name[:80]!r}, expected {expected}")
+    return name
 
 
 def _origin(origin: str) -> str:
@@ -120,7 +129,9 @@ class ServiceSettings(BaseSettings):
     read_burst: int = Field(default=400, ge=1)
     write_rate: float = Field(default=10.0, gt=0)
     write_burst: int = Field(default=100, ge=1)
-    rigs: Annotated[dict[str, RigSource], *_DECODED] = {"lab3x3": RigSource(rig="lab3x3", devices="usb:")}
+    rigs: Annotated[dict[Annotated[str, AfterValidator(_rig_id)], RigSource], *_DECODED] = {
+        "lab3x3": RigSource(rig="lab3x3", devices="usb:")
+    }
     stage_command: Annotated[tuple[str, ...], *_DECODED] = STAGE_COMMAND
     grace_s: float = 20.0
     max_upload_bytes: int = 64 * 2**30
@@ -180,4 +191,8 @@ def settings_of(*, rig: str | None, devices: str | None, **flags: object) -> Ser
     if rig is None and devices is None:
         return settings
     source = RigSource(rig=rig or "lab3x3", devices=devices or "usb:")
-    return settings.model_copy(update={"rigs": {source.load().name: source}})
+    name = source.load().name
+    try:
+        return settings.model_copy(update={"rigs": {_rig_id(name): source}})
+    except ValueError as error:
+        raise SettingsError(str(error), do="give it another", where=source.rig) from error

@@ -38,6 +38,7 @@ from rigs.rig import Rig
 from rigs.toml import catalog_names, catalog_rig
 
 MOST_RIG_ERROR = 20.0  # degrees, cm and percent
+MOST_SAMPLES = 8  # rays along a side of a pixel
 MOST_LIGHT = 1000.0  # factor of a scene's light
 MOST_GAINS, MOST_LAGS = 0.3, 100.0  # share, ticks
 
@@ -75,6 +76,8 @@ class Simulation:
             raise CameraSetupError(f"found the sensor {self.sensor!r}", f"one of {', '.join(SENSOR_KINDS)}")
         if self.samples < 1 or (self.truth_every is not None and self.truth_every < 1):
             raise CameraSetupError(f"found samples {self.samples}, truth_every {self.truth_every}", "at least 1 each")
+        if self.samples > MOST_SAMPLES:
+            raise CameraSetupError(f"found samples {self.samples}", f"at most {MOST_SAMPLES} along a side of a pixel")
         if not 0 <= self.rig_error <= MOST_RIG_ERROR:
             expected = f"0 to {MOST_RIG_ERROR:g} degrees, cm and percent"
             raise CameraSetupError(f"found the rig error {self.rig_error}", expected)

@@ -2,9 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Protocol
 
 from acquisition.errors import BadRecordingError
 from acquisition.recording.importing import TRAILING_COLUMNS, SourceFormat
@@ -35,7 +33,15 @@ class Candidate:
     plausibility: float
 
 
-def inspect(data: Bytes, total: int, sizes: Iterable[Size]) -> list[Candidate]:
+class Stored(Protocol):
+    """Bytes [n] in memory or in a file; a slice of them is an array."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, part: slice, /) -> Bytes: ...
+
+
+def inspect(data: Stored, total: int, sizes: Iterable[Size]) -> list[Candidate]:
     """Return the layouts that a file of `total` bytes may have, the likeliest first.
 
     `data` [n] are the bytes that are there, its first ones; `sizes` (width, height) those to try. A layout whose planes
@@ -51,7 +57,7 @@ def inspect(data: Bytes, total: int, sizes: Iterable[Size]) -> list[Candidate]:
     return sorted(rated, key=lambda one: (one.plausibility, -one.left_bytes), reverse=True)
 
 
-def middle_planes(data: Bytes, source_format: SourceFormat, layout: PlaneLayout) -> Bytes:
+def middle_planes(data: Stored, source_format: SourceFormat, layout: PlaneLayout) -> Bytes:
     """Return some packed planes [T, B] from the middle of the bytes [n] that are there; none where they hold none.
 
     Raises BadRecordingError where M1K40 is asked for and the bytes are not.
@@ -65,7 +71,7 @@ def middle_planes(data: Bytes, source_format: SourceFormat, layout: PlaneLayout)
     return data[first * layout.plane_bytes : last * layout.plane_bytes].reshape(last - first, layout.plane_bytes)
 
 
-def _layouts(data: Bytes, sizes: Iterable[Size]) -> Iterable[tuple[SourceFormat, PlaneLayout]]:
+def _layouts(data: Stored, sizes: Iterable[Size]) -> Iterable[tuple[SourceFormat, PlaneLayout]]:
     if _is_m1k40(data):
         yield "m1k40", m1k40.LAYOUT
     plain: tuple[SourceFormat, ...] = ("vidar", "vidar416")
@@ -77,7 +83,7 @@ def _layouts(data: Bytes, sizes: Iterable[Size]) -> Iterable[tuple[SourceFormat,
                     yield source_format, layout
 
 
-def _is_m1k40(data: NDArray[np.uint8]) -> bool:
+def _is_m1k40(data: Stored) -> bool:
     try:
         m1k40.locate(data[:_M1K40_SEARCHED_BYTES])
     except BadRecordingError:

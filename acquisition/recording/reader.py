@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -75,15 +76,22 @@ class Recording:
         """The ticks of the planes at hand."""
         return range(self.rig.first_tick, self.rig.first_tick + self.planes)
 
-    def part(self, from_tick: int | None, to_tick: int | None) -> Recording:
+    def part(self, from_tick: int | None, to_tick: int | None, cameras: Sequence[str] = ()) -> Recording:
         """Return the recording of the ticks [from_tick, to_tick) alone, None for an end of it, on the same clock.
 
-        Every camera has all of its planes, also where some were cut off before others. Raises BadRecordingError for
-        ticks that are reversed, or that it does not have.
+        Each of `cameras` (none named: all) has all of its planes, also where some were cut off before others. Raises
+        BadRecordingError for ticks that are reversed, or that it does not have.
         """
-        if from_tick is to_tick is None and len({camera.planes for camera in self.manifest.cameras}) == 1:
+        entries = [self.manifest.camera(camera_id) for camera_id in cameras or self.camera_ids]
+        if from_tick is to_tick is None and len({entry.planes for entry in self.manifest.cameras}) == 1:
             return self
-        ticks = ticks_between(self.ticks, from_tick, to_tick, self.path)
+        shortest = min(entries, key=lambda entry: entry.planes)
+        if not shortest.planes:
+            do = "leave it out by naming the others: --views, --holdout"
+            raise BadRecordingError(f"found no plane of {shortest.id}", "at least one", do, where=self.path)
+        planes = shortest.planes if self.part_planes is None else self.part_planes
+        known = range(self.rig.first_tick, self.rig.first_tick + planes)
+        ticks = ticks_between(known, from_tick, to_tick, self.path)
         return replace(self, rig=replace(self.rig, first_tick=ticks.start), part_planes=len(ticks))
 
     @property

@@ -24,7 +24,7 @@ class StreamWriter:
         self.camera_id, self.layout = camera_id, layout
         self.path = folder / f"{camera_id}.dat"
         self.block_planes = block_planes_of(layout)
-        self.damage: str | None = None  # what `entry` found on reading back
+        self.damage: str | None = None  # what closing or reading back has found
         self.clock: dict[str, Any] | None = None  # what sync pulses told of the camera's clock
         self.device: dict[str, Any] | None = None  # what the camera said of itself
         self._unlisted = 0  # planes behind the end of a file that could not be stretched
@@ -85,8 +85,14 @@ class StreamWriter:
             raise self.disk_error()
 
     def close_keeping(self) -> None:
-        """Close as `close` does, but keep the file: planes that the disk refused are lost in the layer `disk`."""
-        self._finish(stretch=True)
+        """Close as `close` does, but keep the file: planes that the disk refused are lost in the layer `disk`.
+
+        Where the disk does not promise to keep the file, `damage` says so.
+        """
+        try:
+            self._finish(stretch=True)
+        except DiskError as error:
+            self.damage = f"{self.path.name}: {error.found}"
 
     def abandon(self) -> None:
         """Close a file that will be removed, if it is still open."""

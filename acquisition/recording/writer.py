@@ -9,6 +9,7 @@ import fcntl
 import functools
 import hashlib
 import importlib.metadata
+import logging
 import os
 import shutil
 from collections.abc import Iterator
@@ -36,6 +37,7 @@ from rigs.rig import Rig
 from rigs.toml import dump_rig
 
 MARGIN_BYTES = 1 << 20  # the rig, and what a manifest says of no block
+_LOG = logging.getLogger(__name__)
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -56,6 +58,7 @@ class DiskUse:
 class RecordingWriter:
     """A recording in the making; use it as a context, which removes what is not committed when it ends.
 
+    What real cameras saw stays in `folder`: where `use` replaces no left-over, planes that journals list are kept.
     Raises BadRecordingError where `path` is taken, DiskError where `use` does not fit the disk. `full` is the reason
     why the disk guard took no more of the disk. With `problems` the recording is committed as incomplete, for these
     reasons.
@@ -94,7 +97,9 @@ class RecordingWriter:
         for stream in self._streams:
             stream.abandon()
         self._flusher.__exit__()
-        if self.folder.exists():
+        if self.folder.exists() and not self._use.replace_left_over and self._taken():
+            _LOG.warning("%s keeps what was recorded; `spike4dgs finalise %s` saves it", self.folder, self.path)
+        elif self.folder.exists():
             shutil.rmtree(self.folder)
         os.close(self._lock)
 
@@ -167,9 +172,12 @@ class RecordingWriter:
             self.full = f"the disk had {free} bytes free, {kept} are kept free"
         return not self.full
 
+    def _taken(self) -> bool:
+        """Return whether a journal in the folder lists planes."""
+        return any(path.stat().st_size for path in self.folder.glob(f"*{SUFFIX}"))
+
     def _refuse_left_over(self) -> None:
-        kept = [path for path in self.folder.glob(f"*{SUFFIX}") if path.stat().st_size]
-        if kept and not self._use.replace_left_over:
+        if not self._use.replace_left_over and self._taken():
             os.close(self._lock)
             do = f"save it by `spike4dgs finalise {self.path}`, or remove it"
             raise BadRecordingError("found what a killed recorder left", "nothing", do, where=self.folder)
@@ -197,11 +205,11 @@ def lock_folder(folder: Path, held: str = "is being recorded now", do: str = "ch
 def publish(folder: Path, path: Path) -> None:
     """Give the whole recording in `folder` its name `path`, without its journals, and bring all to the disk."""
     with disk_errors(folder):
+        refuse_taken(path)  # before the journals go, by which what was recorded could still be saved
         for journal in folder.glob(f"*{SUFFIX}"):
             journal.unlink()
         for inside in (*folder.rglob("*"), folder):
             flush(inside)
-        refuse_taken(path)
         folder.rename(path)
         flush(path.parent)
 

@@ -40,10 +40,15 @@ class OrdinaryCamera:
     bits: int = 12
     white_share: float = 0.8
 
-    def exposures(self, tick_rate_hz: float, ticks: int) -> list[Exposure]:
-        """Return the whole exposures of a clip of so many ticks; none where planes or clip are too few for one."""
+    def exposures(self, tick_rate_hz: float, ticks: int, most: int | None = None) -> list[Exposure]:
+        """Return the whole exposures of a clip of so many ticks; none where planes or clip are too few for one.
+
+        Where they are more than `most`, no more than these are returned, evenly.
+        """
         count, period = self.exposure_ticks(tick_rate_hz), round(tick_rate_hz / self.rate_hz)
-        return [Exposure(first, count) for first in range(0, ticks - count + 1, period)] if count else []
+        firsts = range(0, ticks - count + 1, period) if count else range(0)
+        every = 1 if most is None else max(1, -(-len(firsts) // most))
+        return [Exposure(first, count) for first in firsts[::every]]
 
     def exposure_ticks(self, tick_rate_hz: float) -> int:
         """Return the ticks of an exposure, an odd number so that one is the middle; 0 where they are too few."""

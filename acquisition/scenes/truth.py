@@ -126,8 +126,7 @@ def exposures_of(tick_rate_hz: float, ticks: int, instants: int) -> list[Exposur
 
     All are kept where they are no more than the instants and MOST_INSTANTS; otherwise no more than these, evenly.
     """
-    every, most = ORDINARY.exposures(tick_rate_hz, ticks), max(1, min(instants, MOST_INSTANTS))
-    return every[:: max(1, -(-len(every) // most))]
+    return ORDINARY.exposures(tick_rate_hz, ticks, max(1, min(instants, MOST_INSTANTS)))
 
 
 def _mean_light(view: View, rig: Rig, middle: int, count: int) -> NDArray[np.float32]:

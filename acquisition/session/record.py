@@ -49,6 +49,14 @@ class Take:
         if self.pre_trigger_ms is not None and not 0 < self.pre_trigger_ms < float("inf"):
             raise BadRecordingError(f"found a pre-trigger of {self.pre_trigger_ms} ms", "more than 0")
 
+    def pre_planes(self, tick_rate_hz: float) -> int | None:
+        """Return the planes before the trigger, None without one; raises BadRecordingError where no more are wanted."""
+        planes = None if self.pre_trigger_ms is None else round(self.pre_trigger_ms * 1e-3 * tick_rate_hz)
+        if planes is not None and self.planes is not None and self.planes <= planes:
+            found = f"found {self.planes} ticks with the {planes} before the trigger"
+            raise BadRecordingError(found, "more", "record for longer, or shorten --pre-trigger")
+        return planes
+
 
 def record(rig: Rig, devices: str, take: Take | int, out: Path, progress: Progress = silent) -> Manifest:
     """Record every camera of `rig`, opened by the URI `devices`, as the folder `out`; `take` may be a number of planes.
@@ -69,7 +77,7 @@ def simulate(simulation: Simulation, rig: Rig, ticks: int, out: Path, progress: 
 
 
 def _record(rig: Rig, devices: Devices, take: Take, out: Path, progress: Progress) -> Manifest:
-    pre_planes = None if take.pre_trigger_ms is None else round(take.pre_trigger_ms * 1e-3 * rig.tick_rate_hz)
+    pre_planes = take.pre_planes(rig.tick_rate_hz)
     _check_memory(rig, pre_planes or 0)
     share = _RECORDING_SHARE if isinstance(devices, Simulation) else _WRITTEN
     drawn = devices.drawn(rig) if isinstance(devices, Simulation) else rig

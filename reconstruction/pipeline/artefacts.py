@@ -152,7 +152,7 @@ def white_of(backgrounds: list[Background]) -> float:
 
 def recording_of(run: RunFolder) -> Recording:
     """Return the recording that a run reads, or the part of it that was asked for, with its cameras as they were."""
-    return Recording.open(run.recording).part(run.config.from_tick, run.config.to_tick)
+    return run.config.part_of(Recording.open(run.recording))
 
 
 def posed(run: RunFolder, recording: Recording, *, refined: bool = False) -> Recording:

@@ -152,7 +152,7 @@ class _Follower:
 
         cloud = load_cloud(look.checkpoint)
         if isinstance(cloud, DynamicCloud):
-            growing = open_growing(self.recording).part(look.config.from_tick, look.config.to_tick)
+            growing = look.config.part_of(open_growing(self.recording))
             write_viewer(self.run.path, scene_of(look, posed(look, growing, refined=True), cloud))
 
     def _growing(self) -> Recording | None:

@@ -36,4 +36,16 @@ def plan_stage(run: RunFolder, recording: Recording, progress: Progress) -> None
         )
         plan = replace(plan, decisions=(said, *plan.decisions))
     run.document.planned, run.document.amendments = plan, []
+    _warn_of_ends(run, recording)
     progress(1.0, "\n".join(map(str, plan.decisions)))
+
+
+def _warn_of_ends(run: RunFolder, recording: Recording) -> None:
+    """Warn in the run where a camera that was cut off before others ends what is reconstructed."""
+    entries = [entry for entry in recording.manifest.cameras if entry.id in (*run.plan.views, run.config.holdout)]
+    first, last = (choose(entries, key=lambda entry: entry.planes) for choose in (min, max))
+    if recording.ticks.stop == first.first_tick + first.planes < last.first_tick + last.planes:
+        run.document.warnings["plan"] = (
+            f"{first.id} ends at tick {recording.ticks.stop - 1}, where others go on to tick "
+            f"{last.first_tick + last.planes - 1}: name the others by --views, or the rest is not reconstructed"
+        )

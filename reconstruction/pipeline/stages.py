@@ -38,7 +38,7 @@ def reconstruct(
     began = time.monotonic() if started is None else started
     if config.device == CUDA and stage != STAGES[-1]:
         _expect_device()
-    recording = (open_growing if grows else Recording.open)(recording_path).part(config.from_tick, config.to_tick)
+    recording = config.part_of((open_growing if grows else Recording.open)(recording_path))
     if config.holdout is not None:
         recording.rig.camera(config.holdout)
     undone = STAGES[STAGES.index(stage) :] if again and stage is not None else ()
@@ -89,7 +89,7 @@ def reconstruct_part(
     from reconstruction.pipeline.parts_training import SpanTraining
     from reconstruction.pipeline.span_stage import learn_part
 
-    recording = posed(run, Recording.open(recording_path).part(config.from_tick, config.to_tick))
+    recording = posed(run, config.part_of(Recording.open(recording_path)))
     budget = Budget(time.monotonic, time.monotonic(), 0.0, config.budget_s, config.steps)
     return learn_part(SpanTraining(run, recording, progress, budget, should_stop), part)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.images import catalogue as image_catalogue
 from reconstruction.initialization.initialisers import INITIALISERS
@@ -117,6 +118,11 @@ class ReconstructionConfig:
             raise BadRunError(
                 f"found {self.holdout} both held out and among the training views", do="leave it out of one"
             )
+
+    def part_of(self, recording: Recording) -> Recording:
+        """Return the ticks of a recording that are reconstructed: all cameras in use have all of them."""
+        used = (*self.views, self.holdout) if self.views else ()
+        return recording.part(self.from_tick, self.to_tick, [c for c in recording.camera_ids if c in used])
 
     @classmethod
     def from_json(cls, document: dict) -> ReconstructionConfig:

@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 from numpy.typing import NDArray
 
@@ -19,16 +20,20 @@ from reconstruction.run.document import SCHEMA, RunDocument
 from reconstruction.run.parts import PartFolder
 
 PREVIEW = "preview.png", "preview.json"  # what a training shows of itself, and how far it was
-MAY_LACK: Mapping[str, tuple[str, ...]] = {  # files by stage that not every attempt writes, or that tell of a training
-    "poses": ("poses/rig.toml", "poses/points_*.npy"),
-    "points": ("points/gains.npy", "points/empty_*.npy", "points/bodies_*.npy"),
-    "train": ("poses/refined.toml", "evidence.pt"),
-    "report": ("poses/held_out.toml",),
-}
-TOLD: Mapping[str, tuple[str, ...]] = {  # what `run.json` has of each stage's results
-    "poses": ("poses",),
-    "points": ("bodies",),
-    "train": ("steps", "elements", "stopped_early", "refinement"),
+
+
+class Results(NamedTuple):
+    """What a stage leaves that another attempt may not write again: `files`, and what is `told` in `run.json`."""
+
+    files: tuple[str, ...] = ()
+    told: tuple[str, ...] = ()
+
+
+RESULTS: Mapping[str, Results] = {
+    "poses": Results(("poses/rig.toml", "poses/points_*.npy"), ("poses",)),
+    "points": Results(("points/gains.npy", "points/empty_*.npy", "points/bodies_*.npy"), ("bodies",)),
+    "train": Results(("poses/refined.toml", "evidence.pt"), ("steps", "elements", "stopped_early", "refinement")),
+    "report": Results(("poses/held_out.toml",)),
 }
 
 
@@ -124,20 +129,21 @@ class RunFolder:
     def forget(self, stages: Sequence[str], attempt: int) -> None:
         """Undo `stages`, so that they are run anew; once for each number of `attempt`, which grows.
 
-        A stage writes over what an earlier attempt left; what it may not write again (MAY_LACK) is removed, and so is
+        A stage writes over what an earlier attempt left; what it may not write again (RESULTS) is removed, and so is
         what it would resume from.
         """
         if self.document.attempt >= attempt:
             return
         self.document.status = "unfinished"
-        for told in (told for stage in stages for told in TOLD.get(stage, ())):
+        results = [RESULTS[stage] for stage in stages if stage in RESULTS]
+        for told in (name for result in results for name in result.told):
             setattr(self.document, told, None)
         self.document.amendments = [a for a in self.document.amendments if a.stage not in stages]
         for by_stage in (self.document.seconds, self.document.warnings):
             for stage in stages:
                 by_stage.pop(stage, None)
         self.save()
-        for path in (path for stage in stages for name in MAY_LACK.get(stage, ()) for path in self.path.glob(name)):
+        for path in (path for result in results for name in result.files for path in self.path.glob(name)):
             path.unlink(missing_ok=True)
         if "train" in stages:
             for path in [self.checkpoint, *self.snapshots(), *(self.path / name for name in PREVIEW)]:

@@ -1,5 +1,6 @@
 """Reads cameras in any of the formats the project knows."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,7 +19,7 @@ def load_cameras(path: Path, tick_rate_hz: float, *, size: Size | None = None, i
     (width, height) is the pictures' size, `ids` the cameras there must be, no more and no less. Raises RigError naming
     the file and the camera that does not fit.
     """
-    name, poses, calibration = path.stem, "calibrated", None
+    name, poses, calibration = os.fsencode(path.stem).decode(errors="replace"), "calibrated", None
     if path.suffix == ".toml":
         rig = load_rig(path)
         cameras, poses, name, calibration = rig.cameras, rig.poses, rig.name, rig.calibration

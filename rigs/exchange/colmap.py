@@ -97,7 +97,7 @@ def _read(path: Path, parse: Callable[[bytes], dict[int, Parsed]]) -> dict[int, 
     try:
         with RigError.located(path):
             return parse(data)
-    except (ValueError, IndexError, struct.error) as error:
+    except (ValueError, IndexError, OverflowError, struct.error) as error:
         raise RigError(f"found contents that do not parse ({error})", f"COLMAP's {path.name}", where=path) from error
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from acquisition.devices.open import MOST_GAINS, MOST_LAGS, MOST_LIGHT, MOST_RIG_ERROR, Simulation, nested_in
+from acquisition.devices import open as limits
+from acquisition.devices.open import Simulation, nested_in
 from acquisition.devices.registers import EXPOSURES, THRESHOLDS, Sensitivity
 from acquisition.errors import BadRecordingError
 from acquisition.recording.finalise import finalise
@@ -66,14 +67,14 @@ _SCENES_HELP = "; ".join(f"{purpose}: {' '.join(names)}" for purpose, names in P
     "--camera-gains",
     default=0.0,
     show_default=True,
-    type=click.FloatRange(0, MOST_GAINS),
+    type=click.FloatRange(0, limits.MOST_GAINS),
     help="Spread the gain of the cameras by this share (standard deviation).",
 )
 @click.option(
     "--camera-lags",
     default=0.0,
     show_default=True,
-    type=click.FloatRange(0, MOST_LAGS),
+    type=click.FloatRange(0, limits.MOST_LAGS),
     help="Let cameras see up to so many ticks early or late.",
 )
 @click.option(
@@ -87,7 +88,7 @@ _SCENES_HELP = "; ".join(f"{purpose}: {' '.join(names)}" for purpose, names in P
     "--samples",
     default=2,
     show_default=True,
-    type=click.IntRange(min=1, max=8),
+    type=click.IntRange(min=1, max=limits.MOST_SAMPLES),
     help="Rays along a side of a pixel that changes; the truth, and pixels that do not change, have 4 or more. Scenes "
     "of a path tracer have their own number.",
 )
@@ -101,7 +102,7 @@ _SCENES_HELP = "; ".join(f"{purpose}: {' '.join(names)}" for purpose, names in P
     "--rig-error",
     default=0.0,
     show_default=True,
-    type=click.FloatRange(0, MOST_RIG_ERROR),
+    type=click.FloatRange(0, limits.MOST_RIG_ERROR),
     help="Put the cameras off the rig file by so many degrees, cm and percent of the focal length; it is then nominal.",
 )
 @click.option(
@@ -115,7 +116,7 @@ _SCENES_HELP = "; ".join(f"{purpose}: {' '.join(names)}" for purpose, names in P
     "--light",
     default=1.0,
     show_default=True,
-    type=click.FloatRange(0, MOST_LIGHT, min_open=True),
+    type=click.FloatRange(0, limits.MOST_LIGHT, min_open=True),
     help="Factor of the scene's light; 2 at half the --rate is the same light on the same thresholds.",
 )
 @click.option("--spikecv", is_flag=True, help="Also write the config.yaml that SpikeCV reads.")
@@ -289,7 +290,8 @@ def _print_recording(out: Path, manifest: Manifest, as_json: bool) -> None:
     cameras = {camera.id: {"planes": camera.planes, "drops": camera.drops} for camera in manifest.cameras}
     facts = {name: getattr(manifest, name) for name in ("tick_rate_hz", "status", "reason")}
     lost = sum(sum(camera.drops.values()) for camera in manifest.cameras)
-    planes = min(camera.planes for camera in manifest.cameras)
-    line = f"{out}: {len(cameras)} cameras, {planes} planes each at {manifest.tick_rate_hz:g} Hz, {lost} planes lost"
+    counts = sorted(camera.planes for camera in manifest.cameras)
+    planes = f"{counts[0]} planes each" if counts[0] == counts[-1] else f"{counts[0]} to {counts[-1]} planes"
+    line = f"{out}: {len(cameras)} cameras, {planes} at {manifest.tick_rate_hz:g} Hz, {lost} planes lost"
     line += f"; incomplete: {manifest.reason}" if manifest.reason else ""
     answer({"recording": str(out), **facts, "cameras": cameras}, line, as_json=as_json)

@@ -84,7 +84,8 @@ class Admission:
         if request.from_tick is request.to_tick is None:
             return
         try:
-            Recording.open(self._store.folder.recording(target.id)).part(request.from_tick, request.to_tick)
+            used = _named(request) if request.views else ()
+            Recording.open(self._store.folder.recording(target.id)).part(request.from_tick, request.to_tick, used)
         except BadRecordingError as error:
             do = "change `from_tick` or `to_tick`"
             raise UnknownReferenceError(error.found, error.expected, do) from error

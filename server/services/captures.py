@@ -6,7 +6,7 @@ from acquisition.recording.finalise import left_planes
 from acquisition.recording.writer import partial_of
 from rigs.rig import Rig
 from server.engine import Engine, capture_queue
-from server.errors import NotFoundError, RigBusyError, StateError
+from server.errors import NotFoundError, RigBusyError, StateError, UnknownReferenceError
 from server.schemas.captures import NEVER_BEGUN, Capture, CaptureRequest, Labels
 from server.schemas.progress import ACTIVE, Progress, Status
 from server.schemas.rigs import RigInfo, Rigs
@@ -56,8 +56,14 @@ class RigService:
         return RigInfo.model_validate(vars(rig) | shown, from_attributes=True)
 
     def start(self, rig_id: str, request: CaptureRequest, key: Key = None) -> str:
-        """Queue a recording; return its id. Raises NotFoundError, NoRoomError and, while it is busy, RigBusyError."""
-        self.rig(rig_id)
+        """Queue a recording; return its id.
+
+        Raises NotFoundError, NoRoomError, RigBusyError while it is busy, and UnknownReferenceError for no more ticks
+        than come before the trigger.
+        """
+        before = round((request.pre_trigger_ms or 0.0) * 1e-3 * self.rig(rig_id).tick_rate_hz)
+        if request.ticks is not None and request.ticks <= before:
+            raise UnknownReferenceError(f"found {request.ticks} ticks with the {before} before the trigger", "more")
         capture_id, known = self._queue.once("capture", request, key, rig_id)
         if not known:
             queue = capture_queue(rig_id)
@@ -110,6 +116,8 @@ class CaptureService:
             raise NotFoundError(f"found {capture_id} to be of rig {capture.rig}, not {rig_id[:60]}", "its own rig")
         if capture.status not in ACTIVE or capture.type != "record":
             raise StateError(f"found {capture.id} {capture.status}", "it recording")
+        if word == "save" and capture.pre_trigger_ms is None:
+            raise StateError(f"found {capture.id} without pre-trigger, all of it saved", "one with it", "stop it")
         (self._store.folder.entry(capture_id) / word).touch()  # whoever takes it up finds it there
         if capture.status == "queued" and word == "stop":
             self._withdraw(capture_id)

@@ -75,8 +75,8 @@ class Queue:
     def expect_unused(self, name: str) -> None:
         """Raise StateError while an entry at work uses the capture, job or upload `name`."""
         for entry in self._at_work():
-            used = [entry.request.get("job"), *entry.request.get("dats", ()), entry.kind == "job" and entry.capture]
-            if name in used:
+            named = [entry.request.get(key) for key in ("job", "dark", "cameras")]
+            if name in (*named, *entry.request.get("dats", ()), entry.kind == "job" and entry.capture):
                 raise StateError(f"found {name} in use by {entry.id}", "nothing at work on it", "cancel that or wait")
 
     def start(self, entry: Entry) -> None:

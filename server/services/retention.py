@@ -42,6 +42,7 @@ class Retention:
             self._delete_jobs(self._store.clock() - self._keep_days * _DAY_S)
         self._delete_uploads(self._store.clock() - self._keep_upload_days * _DAY_S)
         self._forget_deleted()
+        self._store.folder.sweep()
 
     def _delete_uploads(self, before: float) -> None:
         for upload in self._store.uploads.before(iso(before)):

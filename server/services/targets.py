@@ -57,7 +57,7 @@ def addresses_of(target: Target) -> list[str]:
 
 def allowed_address(target: Target, addresses: list[str], hosts: Collection[str]) -> str:
     """Return the address to connect to; raises TargetError for a private one of a target not named in `hosts`."""
-    if target.host not in {host.lower() for host in hosts}:
+    if not any(_names(entry, target) for entry in hosts):
         for address in addresses:
             if not _is_public(address):
                 raise TargetError(
@@ -66,6 +66,12 @@ def allowed_address(target: Target, addresses: list[str], hosts: Collection[str]
                     "name the host in SPIKE4DGS_WEBHOOK_HOSTS to allow it",
                 )
     return addresses[0]
+
+
+def _names(entry: str, target: Target) -> bool:
+    """Return whether a name in the settings, HOST or HOST:PORT, is that of the target."""
+    parts = urlsplit(f"//{entry}")
+    return parts.hostname == target.host and parts.port in (None, target.port)
 
 
 def _is_public(text: str) -> bool:

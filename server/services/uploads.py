@@ -40,7 +40,9 @@ class UploadService:
         upload = StoredUpload(upload_id, uploads.now(), request.name, request.bytes, request.sha256)
         path = self.path(upload.id)
         with self._space.promised(upload.bytes):
-            path.parent.mkdir()
+            if uploads.has(upload_id):  # the same request, sent twice at once, was faster
+                return self.get(upload_id)
+            path.parent.mkdir(exist_ok=True)  # it may be there of a request that failed
             path.touch()
             uploads.insert(upload)
         return self._shown(upload)

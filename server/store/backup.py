@@ -3,7 +3,7 @@
 import json
 import shutil
 import sqlite3
-from contextlib import closing
+from contextlib import closing, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -17,6 +17,7 @@ from server.store.soundness import DATABASES, expect_whole
 FORMAT = 1
 _DOCUMENT = "backup.json"
 _FOLDERS = ("rigs", "entries")
+_NOT_COPIED = (".lock", ".partial")
 
 
 class BackupError(ServiceError):
@@ -52,7 +53,7 @@ def back_up(settings: ServiceSettings, out: Path) -> None:
             ):
                 source.backup(to)
         for name in _FOLDERS:
-            shutil.copytree(settings.data / name, folder / name, ignore=shutil.ignore_patterns("*.lock", "*.partial"))
+            _copy_live(settings.data / name, folder / name)
         write_json(folder / _DOCUMENT, {"format": FORMAT, "made": datetime.now(UTC).isoformat("T", "seconds")})
 
 
@@ -105,6 +106,18 @@ def _move_away(data: Path) -> Path | None:
     for path in there:
         path.rename(aside / path.name)
     return aside
+
+
+def _copy_live(source: Path, to: Path) -> None:
+    """Copy a folder in which files come and go; what goes meanwhile is left out, and so is what is being written."""
+    to.mkdir()
+    with suppress(FileNotFoundError):
+        for path in sorted(source.iterdir()):
+            if path.is_dir():
+                _copy_live(path, to / path.name)
+            elif path.suffix not in _NOT_COPIED:
+                with suppress(FileNotFoundError):
+                    shutil.copy2(path, to / path.name)
 
 
 def _copy_missing(source: Path, to: Path) -> None:

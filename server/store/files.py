@@ -14,9 +14,12 @@ import fcntl
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+_REMOVED, _LEFT_S = ".removed-", 3600.0  # where a folder is put aside to be deleted, and when that was left undone
 
 
 class DataFolder:
@@ -94,11 +97,18 @@ class DataFolder:
         except FileNotFoundError:  # it is being deleted
             return 0
 
+    def sweep(self) -> None:
+        """Delete what a process that was killed while it removed a folder has left."""
+        for aside in self.path.glob(f"{_REMOVED}*"):
+            with suppress(FileNotFoundError):  # it has just gone
+                if time.time() - aside.stat().st_mtime > _LEFT_S:
+                    shutil.rmtree(aside, ignore_errors=True)
+
     def remove(self, folder: Path) -> None:
         """Delete a folder, which leaves its place at once, whatever its size."""
         if not folder.exists():
             return
-        aside = Path(tempfile.mkdtemp(prefix=".removed-", dir=self.path))
+        aside = Path(tempfile.mkdtemp(prefix=_REMOVED, dir=self.path))
         folder.rename(aside / folder.name)
         shutil.rmtree(aside)
 

@@ -190,3 +190,22 @@ def test_a_service_does_not_start_during_a_restore(data) -> None:
     data.mkdir()
     with locked(data), pytest.raises(DatabaseError, match="being restored"):
         create_app(ServiceSettings(data=data))
+
+
+def test_what_is_deleted_while_a_backup_is_made_is_left_out(opened, data, tmp_path, monkeypatch) -> None:
+    with opened():
+        for name in ("a", "b", "c"):
+            (data / "entries" / name / "parts").mkdir(parents=True)
+            (data / "entries" / name / "log.txt").write_text(name)
+        (data / "entries" / "a" / "x.partial").write_text("half")
+        copy = shutil.copy2
+
+        def gone(source: Path, to: Path) -> object:
+            shutil.rmtree(data / "entries" / "b", ignore_errors=True)
+            return copy(source, to)
+
+        monkeypatch.setattr(shutil, "copy2", gone)
+        result = run("backup", "--data", data, "--out", tmp_path / "b")
+    assert (result.exit_code, result.exception) == (0, None)
+    kept = {str(path.relative_to(tmp_path / "b/entries")) for path in (tmp_path / "b/entries").rglob("*")}
+    assert kept == {"a", "a/log.txt", "a/parts", "c", "c/log.txt", "c/parts"}

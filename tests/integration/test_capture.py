@@ -378,6 +378,7 @@ def test_a_taken_name_is_refused_before_a_camera_is_opened(tmp_path, small):
         ("mock:fan_and_ball?seed=-3", "expected a whole number"),
         ("mock:fan_and_ball?sensor=perfect", "found the sensor 'perfect'"),
         ("mock:fan_and_ball?samples=0", "at least 1"),
+        ("mock:fan_and_ball?samples=9999", "at most 8"),
         ("mock:fan_and_ball?light=0", "found the light 0.0, expected a factor above 0"),
         ("mock:fan_and_ball?profile=usb4", "found the profile 'usb4', expected one of direct, ft60x"),
     ],
@@ -437,3 +438,10 @@ def test_a_pre_trigger_that_does_not_fit_the_memory_is_refused(tmp_path, small):
 def test_an_unknown_scene_is_refused(small):
     with pytest.raises(BadRecordingError, match="fan_and_ball"), open_cameras(small, Simulation("nowhere"), 10):
         pass
+
+
+@pytest.mark.parametrize("ticks", [1, 100])
+def test_a_recording_that_would_end_before_its_trigger_is_refused(tmp_path, small, ticks):
+    with pytest.raises(BadRecordingError, match=f"found {ticks} ticks with the 100 before the trigger, expected more"):
+        record(small, "mock:fan_and_ball", Take(ticks, 5.0), tmp_path / "rec")
+    assert list(tmp_path.iterdir()) == []

@@ -1,6 +1,7 @@
 """An ordinary camera's frames: when they are exposed, and the noise and limits of their light."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -73,3 +74,12 @@ def test_one_pixel_and_no_pixel_are_read():
 def test_light_that_is_not_finite_is_refused(light, white):
     with pytest.raises(BadRecordingError, match="expected finite light above 0"):
         CAMERA.read(np.full((2, 2), light, np.float32), white, seeded())
+
+
+def test_exposures_of_a_clip_without_end_are_counted_before_they_are_made():
+    found = CAMERA.exposures(20_000.0, 10**20, 200)
+    assert 100 <= len(found) <= 200
+    assert found[0].first == 0
+    assert len({b.first - a.first for a, b in pairwise(found)}) == 1
+    few = CAMERA.exposures(20_000.0, 4_000)
+    assert CAMERA.exposures(20_000.0, 4_000, 1_000) == few

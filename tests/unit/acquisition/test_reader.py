@@ -80,3 +80,29 @@ def test_a_camera_that_never_sent_a_plane_is_one_clear_line(tmp_path):
     expected = "rec: found no plane of cam01, expected at least one; mend or leave it out, and record again$"
     with pytest.raises(BadRecordingError, match=expected):
         Recording.open(tmp_path / "rec").stream("cam01")
+
+
+def test_a_part_is_as_long_as_the_cameras_in_use(folder):
+    recording = Recording.open(folder)
+    assert recording.part(None, None).planes == 5
+    long = recording.part(None, None, ["cam01"])
+    assert (long.planes, len(long.stream("cam01"))) == (7, 7)
+    later = recording.part(4, 7, ["cam01"])
+    assert (later.ticks, len(later.stream("cam01"))) == (range(4, 7), 3)
+    with pytest.raises(BadRecordingError, match="expected ticks from 0 to 5"):
+        recording.part(4, 7)
+    assert later.part(5, 6).ticks == range(5, 6)
+
+
+def test_a_camera_without_a_plane_is_named(tmp_path):
+    cameras = tuple(Camera(i, 8, 3, 8.0, 8.0, 4.0, 1.5, Transform.identity()) for i in ("cam00", "cam01"))
+    with RecordingWriter(tmp_path / "rec", Rig("pair", 40_000.0, cameras, "nominal"), 0) as recording:
+        streams = [recording.stream(camera.id, LAYOUT) for camera in cameras]
+        streams[0].append(np.full((5, 3), 5, dtype=np.uint8))
+        for stream in streams:
+            stream.close()
+        recording.commit([stream.entry() for stream in streams], "software")
+    recording = Recording.open(tmp_path / "rec")
+    with pytest.raises(BadRecordingError, match="found no plane of cam01, expected at least one; leave it out"):
+        recording.part(None, None)
+    assert recording.part(None, None, ["cam00"]).planes == 5

@@ -11,16 +11,18 @@ from acquisition.errors import BadRecordingError, DiskError
 from acquisition.recording import writer as writer_module
 from acquisition.recording.chunk_writer import StreamSpace
 from acquisition.recording.direct import DirectFile
+from acquisition.recording.finalise import finalise
 from acquisition.recording.manifest import Gap
 from acquisition.recording.reader import Recording
 from acquisition.recording.verify import verify
-from acquisition.recording.writer import RecordingWriter
+from acquisition.recording.writer import DiskUse, RecordingWriter
 from acquisition.spikes.layout import PlaneLayout
 from rigs.camera import Camera
 from rigs.rig import Rig
 from rigs.transform import Transform
 
 LAYOUT = PlaneLayout(9, 5)
+HARDWARE = DiskUse(replace_left_over=False)
 PLANES = np.random.default_rng(0).integers(0, 256, (200, LAYOUT.plane_bytes), dtype=np.uint8)
 
 
@@ -130,3 +132,61 @@ def test_a_disk_that_fills_up_is_one_clear_error(tmp_path, monkeypatch):
     with pytest.raises(DiskError, match=r"cam00\.dat: the disk is full or failing \(No space left"):
         write(tmp_path / "rec")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("failure", [RuntimeError, KeyboardInterrupt, BadRecordingError])
+def test_what_real_cameras_saw_outlives_a_failure(tmp_path, failure, caplog):
+    def fail():
+        with RecordingWriter(tmp_path / "rec", rig_of("cam00"), HARDWARE) as recording:
+            stream = recording.stream("cam00", LAYOUT)
+            recording.mark("recording", "line")
+            stream.append(PLANES)
+            stream.close()
+            if failure is not BadRecordingError:
+                raise failure
+            (tmp_path / "rec").mkdir()  # somebody takes the name meanwhile
+            (tmp_path / "rec/notes.txt").write_text("mine")
+            recording.commit([stream.entry()], "line")
+
+    with pytest.raises(failure):
+        fail()
+    assert "`spike4dgs finalise" in caplog.text
+    assert (tmp_path / "rec.partial").is_dir()
+    if failure is BadRecordingError:
+        (tmp_path / "rec/notes.txt").unlink()
+    finalise(tmp_path / "rec")
+    recording = Recording.open(tmp_path / "rec")
+    np.testing.assert_array_equal(recording.stream("cam00").packed, PLANES)
+    assert verify(tmp_path / "rec") == []
+
+
+def test_real_cameras_that_saw_nothing_leave_nothing(tmp_path):
+    def fail():
+        with RecordingWriter(tmp_path / "rec", rig_of("cam00"), HARDWARE) as recording:
+            recording.stream("cam00", LAYOUT)
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail()
+    assert list(tmp_path.iterdir()) == []
+
+
+def refuse_to_keep(handle):
+    raise OSError(errno.EIO, "Input/output error")
+
+
+def test_a_file_that_the_disk_does_not_promise_to_keep_ends_no_other(tmp_path, monkeypatch):
+    with RecordingWriter(tmp_path / "rec", rig_of("cam00", "cam01"), HARDWARE) as recording:
+        streams = [recording.stream(camera_id, LAYOUT) for camera_id in ("cam00", "cam01")]
+        for stream in streams:
+            stream.append(PLANES)
+
+        streams[0].close_keeping()
+        with monkeypatch.context() as failing:  # as Linux tells it: once for each open file
+            failing.setattr("os.fsync", refuse_to_keep)
+            streams[1].close_keeping()
+        manifest = recording.commit(recording.entries(), "line")
+    assert manifest.status == "incomplete"
+    assert "cam01.dat" in (manifest.reason or "")
+    assert "Input/output error" in (manifest.reason or "")
+    np.testing.assert_array_equal(Recording.open(tmp_path / "rec").stream("cam00").packed, PLANES)

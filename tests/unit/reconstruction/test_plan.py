@@ -1,6 +1,7 @@
 import dataclasses
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -410,3 +411,11 @@ def test_pictures_of_several_sizes_are_refused_by_name():
 def test_an_option_that_changes_nothing_is_said(choices, about, choice):
     plan, _, _ = make_plan(ReconstructionConfig(**choices), RIG, streams(moving=True))
     assert [d.choice for d in plan.decisions if d.about == about] == [choice]
+
+
+def test_views_that_are_named_tell_how_long_a_part_is():
+    asked, ids = [], ("cam00", "cam01", "cam11", "cam12")
+    recording = SimpleNamespace(camera_ids=ids, part=lambda *part: asked.append(part))
+    ReconstructionConfig(holdout="cam11").part_of(recording)
+    ReconstructionConfig(holdout="cam11", views=("cam00", "cam01", "cam99"), to_tick=9).part_of(recording)
+    assert asked == [(None, None, []), (None, 9, ["cam00", "cam01", "cam11"])]

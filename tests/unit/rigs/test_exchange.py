@@ -1,5 +1,6 @@
 import json
 import math
+import os
 import struct
 import subprocess
 import sys
@@ -294,3 +295,20 @@ def test_malformed_colmap_models_are_refused(tmp_path, file, text, words):
         load_cameras(tmp_path, 20000)
     for word in words:
         assert word in str(refusal.value)
+
+
+def test_a_colmap_model_of_more_points_than_memory_has_is_one_line(tmp_path):
+    lens = struct.pack("<QIiQQ4d", 1, 1, 1, 24, 16, 20, 20, 12, 8)
+    (tmp_path / "cameras.bin").write_bytes(lens)
+    pose = struct.pack("<QI7dI10sQ", 1, 1, 1, 0, 0, 0, 0, 0, 0, 1, b"cam00.png", 2**62)
+    (tmp_path / "images.bin").write_bytes(pose)
+    with pytest.raises(RigError, match=r"images\.bin"):
+        load_cameras(tmp_path, 20000)
+
+
+def test_a_file_name_that_is_no_text_names_a_rig_that_can_be_written(tmp_path):
+    file = tmp_path / os.fsdecode(b"bad\xff.json")
+    file.write_text(dump_transforms(LAB.cameras))
+    rig = load_cameras(file, 20000)
+    assert rig.name == "bad\ufffd"
+    dump_rig(rig).encode()

@@ -18,7 +18,9 @@ from acquisition.spikes.packing import pack
 from rigs.exchange.nerfstudio import dump_transforms
 from rigs.toml import catalog_rig, dump_rig
 from server.app import create_app
+from server.errors import StateError
 from server.services import announcer
+from server.services.queue import Queue
 from server.services.services import Services
 from server.settings import ServiceSettings
 from server.store.tables import Entry
@@ -300,3 +302,35 @@ def test_arguments_of_what_looks_at_a_rig() -> None:
     plain = look_arguments({"type": "look", "ticks": 7}, "lab3x3", "usb:", Path("r"))
     assert plain == ["record", "--rig", "lab3x3", "--devices", "usb:", "--ticks", "7", "--out", "r"]
     assert look_arguments({"ticks": 7}, "r", "mock:fan?seed=1", Path("r"))[4] == "mock:fan?seed=1&truth_every=7"
+
+
+# What is used, and what is told
+
+
+@pytest.mark.parametrize(
+    ("kind", "request_"),
+    [("calibrate", {"flat": "c-flat", "dark": "c-dark"}), ("render", {"job": "j-run", "cameras": "u-path"})],
+)
+def test_what_a_queued_task_was_given_is_in_use(services: Services, kind: str, request_: dict[str, str]) -> None:
+    queue, entry = Queue(services.store, services.engine), add(services, "job", kind, request=request_, queue="tasks")
+    used = [name for key, name in request_.items() if key != "flat"]  # the flat is the capture of its entry
+    for name in used:
+        with pytest.raises(StateError, match=f"found {name} in use by {entry.id}"):
+            queue.expect_unused(name)
+    services.store.entries.remove(entry.id)
+    for name in used:
+        queue.expect_unused(name)
+
+
+def test_a_capture_that_would_end_before_its_trigger_is_refused(http: TestClient) -> None:
+    for ticks, status in ((100, 422), (101, 202)):
+        answer = http.post("/v1/rigs/lab3x3/captures", json={"ticks": ticks, "pre_trigger_ms": 5})
+        assert answer.status_code == status
+    made = answer.json()["id"]
+    http.post(f"/v1/rigs/lab3x3/captures/{made}/stop")
+
+
+def test_only_what_has_a_pre_trigger_is_saved(http: TestClient) -> None:
+    made = http.post("/v1/rigs/lab3x3/captures", json={"until_stopped": True}).json()["id"]
+    refused(http.post(f"/v1/rigs/lab3x3/captures/{made}/save"), 409, "without pre-trigger")
+    http.post(f"/v1/rigs/lab3x3/captures/{made}/stop")

@@ -1,6 +1,7 @@
 """Uploads looked into over REST before they are imported."""
 
 import io
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,10 +10,12 @@ import pytest
 from fastapi.testclient import TestClient
 from PIL import Image
 
+from acquisition.recording.inspection import middle_planes
 from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
 from server.app import create_app
+from server.services import inspections
 from server.settings import ServiceSettings
 
 LAYOUT = PlaneLayout(400, 250)
@@ -104,3 +107,25 @@ def test_nothing_has_come_yet(http: TestClient) -> None:
     where = begun(http, 12_500, b"")
     assert http.get(f"{where}/inspection").json()["candidates"] == []
     assert http.get(f"{where}/preview?width=400&height=250").status_code == 409
+
+
+def test_a_picture_of_more_pixels_than_a_camera_has_is_refused(http: TestClient) -> None:
+    where = begun(http, 2_600_000, bytes(2_600_000))
+    answer = http.get(f"{where}/preview?width=5000&height=4000")
+    assert answer.status_code == 422
+    assert "found a picture of 5000x4000, expected at most 4000000 pixels" in answer.json()["detail"]
+
+
+def test_an_upload_that_is_cut_off_while_it_is_looked_at_is_told(
+    http: TestClient, data: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    where = begun(http, len(data), data)
+    stored = tmp_path / "uploads" / where.rsplit("/", 1)[1] / "data"
+
+    def cut_off(come: object, source_format: str, layout: PlaneLayout) -> object:
+        os.truncate(stored, 1_000)
+        return middle_planes(come, source_format, layout)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(inspections, "middle_planes", cut_off)
+    answer = http.get(f"{where}/preview?width=400&height=250")
+    assert (answer.status_code, "cut off" in answer.json()["detail"]) == (409, True)

@@ -1,4 +1,8 @@
 import json
+import os
+import time
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -9,11 +13,15 @@ from pydantic import ValidationError
 from reconstruction.export.catalogue import FORMATS
 from reconstruction.run.configuration import CHOICES
 from rigs.errors import RigError
+from rigs.toml import catalog_rig, dump_rig
 from server.cli.main import cli
 from server.cli.serve import PortError, listening
+from server.errors import TargetError
 from server.schemas.captures import CaptureRequest
 from server.schemas.job_types import JOB_TYPES, ExportRequest, ReconstructRequest
+from server.services.targets import allowed_address, target_of
 from server.settings import RigSource, ServiceSettings, SettingsError, settings_of
+from server.store.files import DataFolder
 from server.work.commands import reconstruct_arguments, record_arguments, task_arguments
 
 
@@ -174,3 +182,45 @@ def test_a_job_may_choose_all_that_a_reconstruction_knows_but_what_needs_files_o
         assert set(asked[name]["enum"]) == set(names) - refused.get(name, set())
     served = ExportRequest.model_json_schema()["properties"]["format"]["enum"]
     assert set(served) == set(FORMATS) - {"viewer"}
+
+
+@pytest.mark.parametrize("name", ["lab/one", "..", "", ".hidden", "x" * 65, "lab one"])
+def test_a_rig_whose_name_is_no_part_of_an_address_is_refused(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SPIKE4DGS_RIGS", json.dumps({name: {"rig": "ci3x3", "devices": "usb:"}}))
+    with pytest.raises(SettingsError, match="found the rig's name") as caught:
+        settings_of(rig=None, devices=None)
+    assert caught.value.exit_code == 2
+    monkeypatch.delenv("SPIKE4DGS_RIGS")
+    if name:
+        (tmp_path / "own.toml").write_text(dump_rig(replace(catalog_rig("ci3x3"), name=name)))
+        with pytest.raises(SettingsError, match="found the rig's name"):
+            settings_of(rig=str(tmp_path / "own.toml"), devices=None)
+
+
+@pytest.mark.parametrize(
+    ("entry", "url", "named"),
+    [
+        ("hook.local:9000", "http://hook.local:9000/x", True),
+        ("hook.local:9000", "http://hook.local/x", False),
+        ("Hook.Local", "http://hook.local:9000/x", True),
+        ("[::1]", "http://[::1]:9000/x", True),
+        ("[::1]:9000", "http://[::1]:9000/x", True),
+        ("[::1]:9000", "http://[::2]:9000/x", False),
+    ],
+)
+def test_a_host_that_the_settings_name_is_let_through(entry: str, url: str, named: bool) -> None:
+    with nullcontext() if named else pytest.raises(TargetError, match="private address"):
+        assert allowed_address(target_of(url), ["10.0.0.7"], [entry]) == "10.0.0.7"
+
+
+def test_what_a_killed_removal_left_is_swept(tmp_path: Path) -> None:
+    folder = DataFolder(tmp_path)
+    for name, age_s in (("old", 7200.0), ("new", 0.0)):
+        left = tmp_path / f".removed-{name}" / "c1"
+        left.mkdir(parents=True)
+        (left / "cam00.dat").write_bytes(b"planes")
+        os.utime(left.parent, (time.time() - age_s,) * 2)
+    folder.sweep()
+    assert sorted(path.name for path in tmp_path.glob(".removed-*")) == [".removed-new"]

@@ -6,12 +6,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import sqlalchemy as sa
 from fastapi.testclient import TestClient
 
 from server.app import create_app
 from server.settings import ServiceSettings
 from server.store import upload_file
 from server.store.upload_file import held
+from server.store.uploads import Uploads
 
 DATA = bytes(range(256)) * 20
 
@@ -193,3 +195,17 @@ def test_uploads_come_in_pages(http: TestClient) -> None:
     rest = http.get(f"/v1/uploads?limit=3&cursor={first['next']}").json()
     assert {item["id"] for item in first["items"] + rest["items"]} == made
     assert rest["next"] is None
+
+
+def test_a_request_that_failed_halfway_can_be_sent_again(http: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    request = {"json": {"name": "a.dat", "bytes": 10}, "headers": {"Idempotency-Key": "one"}}
+    with monkeypatch.context() as broken:
+        broken.setattr(Uploads, "insert", refuse_insert)
+        refused(http.post("/v1/uploads", **request), 503, "the database does not answer")
+    made = http.post("/v1/uploads", **request)
+    assert made.status_code == 201
+    assert http.post("/v1/uploads", **request).json() == made.json()
+
+
+def refuse_insert(*_: object) -> None:
+    raise sa.exc.OperationalError("INSERT", {}, OSError("no answer"))
