@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
@@ -40,6 +40,21 @@ CHOICES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "device": ("auto", "cpu", CUDA),
     }
 )
+
+
+class Results(NamedTuple):
+    """The results of a stage that another attempt may not write again: `files`, and what is `told` in `run.json`."""
+
+    files: tuple[str, ...] = ()
+    told: tuple[str, ...] = ()
+
+
+RESULTS: Mapping[str, Results] = {  # by stage
+    "poses": Results(("poses/rig.toml", "poses/points_*.npy"), ("poses",)),
+    "points": Results(("points/gains.npy", "points/empty_*.npy", "points/bodies_*.npy"), ("bodies",)),
+    "train": Results(("poses/refined.toml", "evidence.pt"), ("steps", "elements", "stopped_early", "refinement")),
+    "report": Results(("poses/held_out.toml",)),
+}
 
 
 @dataclass(frozen=True)

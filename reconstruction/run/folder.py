@@ -4,37 +4,21 @@ from __future__ import annotations
 
 import fcntl
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
 
 from numpy.typing import NDArray
 
 from acquisition.arrays import read_array, write_array
 from acquisition.durable import write_json
 from reconstruction.errors import BadRunError
-from reconstruction.run.configuration import ReconstructionConfig
+from reconstruction.run.configuration import RESULTS, ReconstructionConfig
 from reconstruction.run.decisions import Amendment, Decision, Plan
 from reconstruction.run.document import SCHEMA, RunDocument
 from reconstruction.run.parts import PartFolder
 
 PREVIEW = "preview.png", "preview.json"  # what a training shows of itself, and how far it was
-
-
-class Results(NamedTuple):
-    """What a stage leaves that another attempt may not write again: `files`, and what is `told` in `run.json`."""
-
-    files: tuple[str, ...] = ()
-    told: tuple[str, ...] = ()
-
-
-RESULTS: Mapping[str, Results] = {
-    "poses": Results(("poses/rig.toml", "poses/points_*.npy"), ("poses",)),
-    "points": Results(("points/gains.npy", "points/empty_*.npy", "points/bodies_*.npy"), ("bodies",)),
-    "train": Results(("poses/refined.toml", "evidence.pt"), ("steps", "elements", "stopped_early", "refinement")),
-    "report": Results(("poses/held_out.toml",)),
-}
 
 
 class RunFolder:
