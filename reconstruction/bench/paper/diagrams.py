@@ -150,5 +150,5 @@ def _swept(rows: Sequence[dict], kind: str) -> list[tuple[str, dict[int, list[di
         whole = [r for r in rows if r["method"] == method and (r["scene"], r["seed"], r["effort"]) in alike]
         label = SWEPT.get(method, method)
         name = f"{label}, {HOW[kind]}" if kind in HOW else label
-        drawn.append((name, found | ({SWEEPS[kind][1]: whole} if whole else {})))
+        drawn.append((name, ({SWEEPS[kind][1]: whole} if whole else {}) | found))
     return drawn

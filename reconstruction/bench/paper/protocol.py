@@ -107,6 +107,7 @@ RATES = Table(
     (
         Row(f"{RATE_HZ} Hz", m.AUTO, f"{RATE_HZ} Hz"),
         *(Row(f"{RATE_HZ // k} Hz, dropped", m.slower(m.AUTO, k, "drop"), f"{RATE_HZ // k} Hz") for k in SLOWER),
+        Row(f"{RATE_HZ} Hz, run with the re-integrated", m.slower(m.AUTO, 1, "reintegrate")),
         *(Row(f"{RATE_HZ // k} Hz, re-integrated", m.slower(m.AUTO, k, "reintegrate")) for k in SLOWER[:4]),
         *(
             Row(f"TFI + {SMALL[name]}, {RATE_HZ // k} Hz, dropped", m.slower(m.TFI[model], k, "drop"))

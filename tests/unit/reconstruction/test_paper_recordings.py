@@ -125,3 +125,8 @@ def test_an_ordinary_cameras_frames_are_means_of_their_exposure_and_noisy(tmp_pa
 def test_a_recording_shorter_than_an_exposure_has_no_frames(recording):
     with pytest.raises(BadRunError, match="found no frame of an ordinary camera beside cam11"):
         given_source("cam11", Still(), recording, "ordinary")
+
+
+def test_single_planes_gathered_are_the_recording_itself(recording, tmp_path):
+    assert changed(recording.path, tmp_path / "own", Change(slowing="reintegrate"), SEED) == recording.path
+    assert not (tmp_path / "own").exists()
