@@ -18,7 +18,7 @@ from rigs.toml import catalog_rig, load_rig
 STAGE_COMMAND = (sys.executable, "-P", "-m", "server.cli")
 _HOST = re.compile(r"([a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?|\[[0-9a-f:.]{2,45}\])(:\d{1,5})?")
 
-_RIG = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")  # its name is part of addresses, and a folder's
+_RIG = re.compile(r"[^/\x00-\x20\x7f.][^/\x00-\x1f\x7f]{0,63}")  # its name is part of addresses, and a folder's
 
 
 class SettingsError(Spike4dgsError):
@@ -56,7 +56,7 @@ def _host_name(host: str) -> str:
 
 def _rig_id(name: str) -> str:
     if not _RIG.fullmatch(name):
-        expected = "at most 64 letters, digits, dots, dashes and underscores, a letter or digit first"
+        expected = "at most 64 characters without a slash, the first one neither a dot nor a space"
         raise ValueError(f"found the rig's name {name[:80]!r}, expected {expected}")
     return name
 

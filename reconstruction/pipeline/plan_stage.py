@@ -22,7 +22,8 @@ def plan_stage(run: RunFolder, recording: Recording, progress: Progress) -> None
     if recording.planes < LEAST_WINDOW:
         do = "record for longer: a plane is one bit a pixel"
         raise BadRunError(f"found {recording.planes} planes", f"at least {LEAST_WINDOW}", do, where=recording.path)
-    streams = {c: recording.stream(c) for c in recording.camera_ids if c != run.config.holdout}
+    asked = run.config.views or recording.camera_ids
+    streams = {c: recording.stream(c) for c in recording.camera_ids if c in asked and c != run.config.holdout}
     plan, masks, light = make_plan(run.config, recording.rig, streams, progress)
     run.write_array(LIGHT, light.gains)
     for view, mask in masks.items():

@@ -13,12 +13,13 @@ from click.testing import CliRunner
 
 from acquisition.devices.open import Simulation
 from acquisition.progress import silent
+from acquisition.recording.importing import ImportOptions, import_recording
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
 from reconstruction.errors import BadRunError, StereoError
 from reconstruction.export.catalogue import export_scene
 from reconstruction.export.scene import Choices
-from reconstruction.pipeline.artefacts import read_white
+from reconstruction.pipeline.artefacts import read_white, recording_of
 from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.pipeline.trained_scene import trained_scene
@@ -246,3 +247,19 @@ def test_a_training_that_was_killed_after_its_last_step_makes_no_other(run, reco
     assert [file.name for file in resumed.snapshots()] == [file.name for file in run.snapshots()]
     one, other = load_cloud(run.checkpoint), load_cloud(resumed.checkpoint)
     assert torch.equal(one.still.means, other.still.means)
+
+
+def test_a_camera_that_was_cut_off_costs_the_others_nothing_where_it_is_left_out(recording, tmp_path):
+    for file in recording.glob("*.dat"):
+        data = file.read_bytes()
+        (tmp_path / file.name).write_bytes(data[: len(data) // 4] if file.stem == "cam12" else data)
+    short, rig = tmp_path / "short", Recording.open(recording).rig
+    dats = [f"{camera_id}={tmp_path / camera_id}.dat" for camera_id in rig.ids]
+    import_recording(dats, recording / "rig.toml", short, ImportOptions(rig.tick_rate_hz))
+    views = replace(CONFIG, views=("cam00", "cam01", "cam02"))
+    run = reconstruct(short, tmp_path / "views", views, quiet, last="plan")
+    assert (run.plan.decisions[0].choice, run.document.warnings) == ("ticks 0 to 119", {})
+    assert recording_of(run).planes == 120
+    all_of_them = reconstruct(short, tmp_path / "all", CONFIG, quiet, last="plan")
+    assert all_of_them.plan.decisions[0].choice == "ticks 0 to 29"
+    assert all_of_them.document.warnings["plan"].startswith("cam12 ends at tick 29, where others go on to tick 119: ")
