@@ -234,7 +234,7 @@ def _trials(clip: KnownRecording) -> list[dict]:
 def _summarise(document: BenchDocument) -> None:
     """Add means over the scenes: of each method as it is, by nominal error, views and planes; and the trials' worst.
 
-    `natural.trial.least_expected` and `most_expected`: the deviation that a calibration states over its true error.
+    `natural.trial.least_expected` and `most_expected`: the deviation that a calibration states, over its true error.
     """
     for name in METHODS:
         rows = [r for r in document.rows if r["method"] == name]

@@ -78,7 +78,7 @@ class InspectionService:
         return list(dict.fromkeys([*mine, *SIZES]))
 
 
-class _Come:
+class _Received:
     """The bytes of an open file that have come, read where they are asked for: a mapped file may be cut off meanwhile.
 
     Raises StateError where it was.
@@ -100,14 +100,14 @@ class _Come:
 
 
 @contextmanager
-def _bytes_of(path: Path) -> Iterator[_Come]:
+def _bytes_of(path: Path) -> Iterator[_Received]:
     """Open the bytes that have come."""
     try:
         handle = os.open(path, os.O_RDONLY)
     except FileNotFoundError as error:  # it is being deleted
         raise StateError("found the upload deleted", "it there") from error
     try:
-        yield _Come(handle)
+        yield _Received(handle)
     finally:
         os.close(handle)
 

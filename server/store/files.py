@@ -7,6 +7,7 @@ DATA/entries/ID/log.txt                   what the stages of a capture or job wr
 DATA/entries/ID/parts/                    its flock is shared by the processes of parts of a training
 DATA/rigs/RIG/                            held by flock while the rig records; its calibrations as files
 DATA/uploads/UID/                         what was uploaded so far
+DATA/.removed-*/                          what is being deleted, or was when its process was killed
 DATA/reserve                              room that is given up where the disk is full, so that it can be emptied
 """
 

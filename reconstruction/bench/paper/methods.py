@@ -82,7 +82,10 @@ MODULES = {
 
 
 def slower(method: Method, every: int, slowing: Slowing) -> Method:
-    """Return the method on so many times fewer planes a second; one that gathers single planes has rows of its own."""
+    """Return the method on so many times fewer planes a second.
+
+    To gather single planes changes nothing: such a row is run in one sitting with those that gather several.
+    """
     if every == 1 and slowing == "drop":
         return method
     return method.changed(f"{method.name}.{slowing}{RATE_HZ // every}", Change(every=every, slowing=slowing))
