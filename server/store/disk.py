@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -18,6 +19,8 @@ class Disk:
         self._keep_free = keep_free
         self._reserve = folder / "reserve"
         self._reserve_bytes = min(_RESERVE_BYTES, shutil.disk_usage(folder).total // _MOST)
+        self._lock = threading.Lock()
+        self._making_room = 0  # blocks that are being run
 
     def free(self) -> int:
         """Return the bytes that work may fill, at least 0."""
@@ -36,9 +39,14 @@ class Disk:
     @contextmanager
     def making_room(self) -> Iterator[None]:
         """Give up the reserve for the block where the disk is full: even a deletion is written to a database first."""
-        if shutil.disk_usage(self._folder).free < self._reserve_bytes:
-            self._reserve.unlink(missing_ok=True)
+        with self._lock:
+            self._making_room += 1
+            if shutil.disk_usage(self._folder).free < self._reserve_bytes:
+                self._reserve.unlink(missing_ok=True)
         try:
             yield
         finally:
-            self.keep_reserve()
+            with self._lock:
+                self._making_room -= 1
+                if self._making_room == 0:
+                    self.keep_reserve()

@@ -3,7 +3,7 @@
 import contextlib
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import httpx
@@ -128,11 +128,11 @@ def test_a_full_disk_is_emptied_from_the_service(deployment: Deployment, disk: P
             client.begin_upload(UploadRequest(name="b", bytes=8 << 20))  # more than a job that ends lets go of
         assert refused.value.status == 507
         for one in (waiting, job):
-            assert ended(client, one) in ("cancelled", "failed")
-        client.delete_upload(upload)
+            wait_for(lambda one=one: ended(client, one) in ("cancelled", "failed"))
+        wait_for(lambda: done(client.delete_upload, upload))
         for one in (waiting, job):
-            wait_for(lambda one=one: deleted(client, one))
-        client.delete_capture(capture)
+            wait_for(lambda one=one: done(client.delete_job, one))
+        wait_for(lambda: done(client.delete_capture, capture))
         assert client.captures() == client.jobs() == []
         assert list((deployment.data / "captures").iterdir()) == []
 
@@ -144,10 +144,10 @@ def ended(client: ServiceClient, job_id: str) -> str:
     return client.job(job_id).status
 
 
-def deleted(client: ServiceClient, job_id: str) -> bool:
-    """Return whether the job could be deleted: until its process has ended it may hold the job, or the last room."""
+def done(act: Callable[[str], object], name: str) -> bool:
+    """Return whether `act` was done: until its process has ended a job may be held, or hold the last room."""
     try:
-        client.delete_job(job_id)
+        act(name)
     except RefusedError as error:
         if error.status not in (409, 507):
             raise

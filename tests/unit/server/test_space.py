@@ -97,6 +97,17 @@ def test_the_reserve_is_given_up_for_what_makes_room_and_taken_again(tmp_path, f
     assert reserve.exists()
 
 
+def test_the_reserve_is_taken_again_after_the_last_of_those_that_make_room(tmp_path, free) -> None:
+    disk = Disk(tmp_path, 0)
+    disk.keep_reserve()
+    free["bytes"] = 0
+    with disk.making_room():
+        with disk.making_room():
+            pass
+        assert not (tmp_path / "reserve").exists()
+    assert (tmp_path / "reserve").exists()
+
+
 def test_a_disk_without_room_for_the_reserve_goes_without(tmp_path, monkeypatch) -> None:
     def refuse(*args: object) -> None:
         raise OSError(28, "No space left on device")
