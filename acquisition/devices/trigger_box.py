@@ -68,7 +68,10 @@ class BoxStatus(NamedTuple):
 
 
 class TriggerBox:
-    """A connected trigger box, hidapi's `device`; the line it drives pulses every `period_s` from the trigger on."""
+    """A connected trigger box, hidapi's `device`; the line it drives pulses every `period_s` from the trigger on.
+
+    A program that was killed leaves its box pulsing, which would start cameras as they are armed: opening it ends that.
+    """
 
     kind: Trigger = "box"
 
@@ -76,7 +79,8 @@ class TriggerBox:
         self._device = device
         self._period_us = round(period_s * 1e6)
         self.period_s: float | None = self._period_us * 1e-6
-        self.status()
+        if self.status().state is BoxState.PULSING:
+            self._command(BoxCommand.STOP)
 
     def status(self) -> BoxStatus:
         """Ask the box what it does, and how many pulses it has sent since it was armed."""

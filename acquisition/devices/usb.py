@@ -143,8 +143,11 @@ class UsbCamera:
         self.registers.command(Request.START)
 
     def read_block(self, timeout_s: float) -> Block | None:
-        """Return the next whole block, or None when `timeout_s` passed without new bytes."""
+        """Return the next whole block, or None when `timeout_s` passed without new bytes, or with damage alone."""
+        until_s, skipped_bytes = time.monotonic() + timeout_s, self.parser.skipped_bytes
         while not (found := self.parser.next()):
+            if self.parser.skipped_bytes > skipped_bytes and time.monotonic() > until_s:
+                return None
             with self._link.named():
                 data = self._link.transfers.read(timeout_s)
             if not data:

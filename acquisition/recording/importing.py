@@ -57,7 +57,8 @@ class ImportOptions:
 
 
 Stream = SpikeStream | m1k40.M1K40Stream
-Align = Callable[[Mapping[str, Stream]], Mapping[str, tuple[float, float]]]  # to skew and standard deviation, s
+Began = Mapping[str, tuple[float, float]]  # planes after any one camera's plane 0, and the standard deviation
+Align = Callable[[Mapping[str, Stream]], Began]
 
 
 def import_recording(
@@ -74,21 +75,19 @@ def import_recording(
 
     Planes are kept bit for bit; those of M1K40 streams are decoded to plain ones, and the manifest says so. `warn` is
     called with a line for each doubt: a bit or row order that fits worse than the other, segments that are missing.
-    `align` returns how far each camera's first plane began after the rig clock's zero.
+    `align` returns how many planes each camera began after one of them. What was sent before the last one began is then
+    left out, so that planes of one number are of one instant to half a plane.
     Raises BadRecordingError or RigError naming the camera that does not fit; then nothing is left behind.
     """
     named = _named(dats)
-    grid = named is None or all(GRID_ID.fullmatch(camera_id) for camera_id in named)
-    ids = None if grid or named is None else list(named)
-    size = (m1k40.SIDE, m1k40.SIDE) if options.format == "m1k40" and not options.size else options.size
-    rig = load_cameras(cameras, options.tick_rate_hz, size=size, ids=ids)
-    if options.poses:
-        rig = dataclasses.replace(rig, poses=options.poses)
+    rig = _load_rig(cameras, options, named)
     streams = {camera_id: _open(camera_id, path, rig, options) for camera_id, path in _match(dats, named, rig).items()}
     if warn:
         for doubt in _doubts(rig, streams):
             warn(doubt)
-    skews = align(streams) if align else {}
+    began = align(streams) if align else {}
+    left = _left(began, rig.tick_rate_hz)
+    streams = {camera_id: _since(camera_id, stream, began) for camera_id, stream in streams.items()}
     total = sum(len(stream) * stream.layout.plane_bytes for stream in streams.values())
     notes = sum(note_bytes(len(stream), stream.layout) for stream in streams.values())
     with RecordingWriter(out, rig, total + notes) as recording:
@@ -98,12 +97,47 @@ def import_recording(
             writer = recording.stream(camera_id, stream.layout, len(stream))
             size = len(stream) * writer.layout.plane_bytes
             _copy(stream, writer, part(progress, done / total, (done + size) / total))
-            skew_s, skew_sd_s = skews.get(camera_id, (None, None))
-            entries.append(dataclasses.replace(_entry(stream, writer), skew_s=skew_s, skew_sd_s=skew_sd_s))
+            entries.append(dataclasses.replace(_entry(stream, writer), **left.get(camera_id, {})))
             done += size
         manifest = recording.commit(entries, "import")
     progress(1.0, f"{len(streams)} cameras")
     return manifest
+
+
+def _load_rig(cameras: Path, options: ImportOptions, named: dict[str, Path] | None) -> Rig:
+    """Return the cameras that the streams, `named` or in the rig's order, are of."""
+    grid = named is None or all(GRID_ID.fullmatch(camera_id) for camera_id in named)
+    ids = None if grid or named is None else list(named)
+    size = (m1k40.SIDE, m1k40.SIDE) if options.format == "m1k40" and not options.size else options.size
+    rig = load_cameras(cameras, options.tick_rate_hz, size=size, ids=ids)
+    return dataclasses.replace(rig, poses=options.poses) if options.poses else rig
+
+
+def first_planes(began: Began) -> dict[str, int]:
+    """Return the first plane of each camera that is no earlier than the last one's plane 0, to half a plane."""
+    last = max((planes for planes, _ in began.values()), default=0.0)
+    return {camera_id: round(last - planes) for camera_id, (planes, _) in began.items()}
+
+
+def _since(camera_id: str, stream: Stream, began: Began) -> Stream:
+    """Return the part of `stream` that begins when the last camera began, all of it where that is not known."""
+    first = first_planes(began).get(camera_id, 0)
+    if first >= len(stream):
+        found, do = f"found {len(stream)} planes, all sent before the last camera began", "import files of one instant"
+        raise BadRecordingError(found, f"more than {first}", do, where=camera_id)
+    return stream.since(first)
+
+
+def _left(began: Began, tick_rate_hz: float) -> dict[str, dict[str, float]]:
+    """Return by how much each camera's first plane is late against the last camera's, and the deviation, in seconds."""
+    last, firsts = max((planes for planes, _ in began.values()), default=0.0), first_planes(began)
+    return {
+        camera_id: {
+            "skew_s": (planes + firsts[camera_id] - last) / tick_rate_hz,
+            "skew_sd_s": sd / tick_rate_hz,
+        }
+        for camera_id, (planes, sd) in began.items()
+    }
 
 
 def _named(dats: Sequence[str]) -> dict[str, Path] | None:

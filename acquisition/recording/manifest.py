@@ -86,11 +86,12 @@ class CameraFile:
     With `compact` set, another file holds them, and there is no `.dat`; digests are of the planes either way.
 
     `first_tick` is plane 0 on the rig clock. `block_digests` are xxh3-64 of every `block_planes` planes; `sha256` is of
-    the file (None while it is being recorded). `skew_s` is the time from the trigger to its first plane (None where
-    nothing measured it), `skew_sd_s` its standard deviation where that was estimated. `clock` holds all that sync
-    pulses told of the camera's clock. `device` holds what the camera said of itself: serial, firmware, sensitivity, the
-    counters of its link, its clock against the host's, and where it came back after it was lost. `partial_bytes`
-    counts the bytes of an imported file beyond its last whole plane.
+    the file (None while it is being recorded). `skew_s` is how late its planes come, in the middle of the recording
+    (None where nothing measured it), `skew_sd_s` its standard deviation where that was estimated. `clock` holds all
+    that sync pulses told of the camera's clock, whose `skew_s` is how far it is ahead: one that is ahead is early.
+    `device` holds what the camera said of itself: serial, firmware, sensitivity, the counters of its link, its clock
+    against the host's, and where it came back after it was lost. `partial_bytes` counts the bytes of an imported file
+    beyond its last whole plane.
     Raises BadRecordingError, naming the camera, for a name, layout, digests or gaps that do not fit.
     """
 
@@ -162,6 +163,11 @@ class CameraFile:
     def drops(self) -> dict[str, int]:
         """Planes lost, by layer."""
         return {layer: sum(g.planes for g in self.gaps if g.layer == layer) for layer in get_args(Layer)}
+
+    def lost_within(self, ticks: range) -> int:
+        """Return how many of the planes of the contiguous `ticks` were lost."""
+        ends = [(self.first_tick + g.first_plane, self.first_tick + g.first_plane + g.planes) for g in self.gaps]
+        return sum(max(0, min(ticks.stop, end) - max(ticks.start, begin)) for begin, end in ends)
 
     @property
     def written(self) -> int:

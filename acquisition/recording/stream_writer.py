@@ -26,6 +26,7 @@ class StreamWriter:
         self.block_planes = block_planes_of(layout)
         self.damage: str | None = None  # what closing or reading back has found
         self.clock: dict[str, Any] | None = None  # what sync pulses told of the camera's clock
+        self.skew_s: float | None = None  # by how much the planes come late in the middle of the recording
         self.device: dict[str, Any] | None = None  # what the camera said of itself
         self._unlisted = 0  # planes behind the end of a file that could not be stretched
         self._closed = False
@@ -121,14 +122,13 @@ class StreamWriter:
         changed = [n for n, pair in enumerate(zip(digests, found, strict=False)) if pair[0] != pair[1]]
         if changed:
             self.damage = f"{self.path.name}: block {changed[0]} does not read back as it was written"
-        clock = self.clock or {}
         return CameraFile(
             *(self.camera_id, self.path.name, self.layout, self.planes, 0, self.block_planes),
             block_digests=(*digests, *found[len(digests) :]),
             sha256=sha256,
             gaps=self.gaps,
-            skew_s=clock.get("skew_s"),
-            skew_sd_s=clock.get("skew_sd_s"),
+            skew_s=self.skew_s,
+            skew_sd_s=(self.clock or {}).get("skew_sd_s"),
             clock=self.clock,
             device=self.device,
         )

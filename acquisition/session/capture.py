@@ -1,26 +1,25 @@
 """One camera on its way to its file: what it offers is written or counted as lost, and it is never held up."""
 
+import contextlib
 import dataclasses
 import json
 import threading
 import time
 from dataclasses import dataclass
 
-import numpy as np
-
 from acquisition.devices.protocol import Block
 from acquisition.devices.usb import UsbCamera
 from acquisition.errors import DeviceError
 from acquisition.recording.stream_writer import StreamWriter
 from acquisition.session.backlog import Backlog, Held
-from acquisition.session.contact import Contact
-from acquisition.session.timing import TimingError, estimate_clock
+from acquisition.session.contact import CLOCK_SPREAD, Contact
+from acquisition.session.timing import StampLog, TimingError
 
 READ_TIMEOUT_S = 1.0
-SILENT_READS = 5  # reads without a byte after which a camera has stopped sending
+SILENT_READS = 5  # reads without a block after which a camera has stopped sending
 REPEATED_BLOCKS = 64  # most blocks that a repeated one lies back; one from further back is a camera that began anew
 LONGEST_GAP_S = 60.0  # seconds of planes lost at once; for more, the counter cannot be believed
-_SPARE_S = 0.25  # seconds held beside the pre-trigger's span: the cameras are not read at the same instant
+SPARE_S = 0.25  # seconds held beside the pre-trigger's span: the cameras are not read at the same instant
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,8 @@ class CaptureRules:
 class Capture:
     """One camera and its file: `run` in a thread of its own, `begin_at` and `end_at` from the one that watches.
 
-    Planes are counted as the camera counts them: `position` is the next one expected of it.
+    Planes are counted as the camera counts them, by its own clock: `position` is the next one expected of it. Those of
+    the rig clock are `lead` planes behind them, where `follow_the_rig_clock` was called.
     """
 
     def __init__(self, camera: UsbCamera, writer: StreamWriter, rules: CaptureRules):
@@ -55,21 +55,37 @@ class Capture:
         self.failure: DeviceError | None = None
         self.contact = Contact(camera)
         self.returned: list[str] = []  # where it was away and came back
-        self._stamps: list[tuple[int, float]] = []  # pulses counted since the trigger, and when the last of them came
+        self.lead = 0
+        self._stamps = None if rules.period_s is None else StampLog(rules.period_s)
         self._stamped_until_s = 0.0  # a pulse before it, on the camera's clock, would be among them
         self._began_again = 0  # where the camera's plane 0 lies since it came back
         self._rules = rules
         self._dropped = 0
-        may_hold = 0 if rules.pre_planes is None else rules.pre_planes + round(_SPARE_S * rules.tick_rate_hz)
+        may_hold = 0 if rules.pre_planes is None else rules.pre_planes + round(SPARE_S * rules.tick_rate_hz)
         self._backlog = Backlog(writer, may_hold, waits=rules.waits)
 
+    @property
+    def reached(self) -> int:
+        """Return the plane of the rig clock that comes next."""
+        return self.position - self.lead
+
+    def follow_the_rig_clock(self) -> None:
+        """Find how many planes the camera's clock is ahead now, from the sync pulses; where they cannot tell, none."""
+        rate_hz, now_s = self._rules.tick_rate_hz, self.position / self._rules.tick_rate_hz
+        if self._stamps is None:
+            return
+        with contextlib.suppress(TimingError):
+            ahead_s = self._stamps.estimate(now_s, 0.0).skew_s
+            believable = abs(ahead_s) <= CLOCK_SPREAD * now_s + self._stamps.period_s
+            self.lead = round(ahead_s * rate_hz) if believable else 0
+
     def begin_at(self, plane: int) -> None:
-        """Record from `plane` on, which may be one that is held."""
-        self._backlog.first = plane
+        """Record from `plane` of the rig clock on, which may be one that is held."""
+        self._backlog.first = plane + self.lead
 
     def end_at(self, plane: int) -> None:
-        """Record up to but without `plane`, or less where an earlier end is set."""
-        self._backlog.end = min(self._backlog.end, plane)
+        """Record up to but without `plane` of the rig clock, or less where an earlier end is set."""
+        self._backlog.end = min(self._backlog.end, plane + self.lead)
 
     def run(self, stop: threading.Event) -> None:
         """Read and write until all planes are there or `stop` is set; a camera's failure ends its own run only."""
@@ -84,31 +100,41 @@ class Capture:
         self.writer.close_keeping()
 
     def tell_clock(self) -> None:
-        """Estimate the camera's clock from its sync pulses, for the manifest; where they cannot tell, do nothing."""
-        period_s = self._rules.period_s
-        if period_s is None or not self._stamps:
+        """Estimate the camera's clock from its sync pulses, for the manifest; where they cannot tell, do nothing.
+
+        Planes come late by what they were begun later, less what the clock is ahead in the middle of the recording.
+        """
+        rate_hz = self._rules.tick_rate_hz
+        if self._stamps is None:
             return
-        counted, stamps_s = zip(*self._stamps, strict=True)
-        duration_s = self.writer.planes / self._rules.tick_rate_hz
+        begin_s, duration_s = ((self._backlog.first or 0) - self.lead) / rate_hz, self.writer.planes / rate_hz
         try:
-            estimate = estimate_clock(np.array(counted), np.array(stamps_s), period_s, duration_s)
+            estimate = self._stamps.estimate(begin_s, duration_s, self._stamped_until_s)
         except TimingError:
             return
-        estimate = estimate.with_missed_until(self._stamped_until_s, float(stamps_s[-1]), period_s)
         self.writer.clock = json.loads(json.dumps(dataclasses.asdict(estimate)))
+        self.writer.skew_s = self.lead / rate_hz - estimate.skew_s
 
     def _read(self, stop: threading.Event) -> None:
         """Take blocks until all planes are there or `stop` is set; raises DeviceError."""
-        silent_reads = 0
+        silent_reads, damaged_bytes = 0, self.camera.parser.skipped_bytes
         while not stop.is_set() and self.position < self._backlog.end:
             block = self.camera.read_block(READ_TIMEOUT_S)
-            silent_reads = 0 if block else silent_reads + 1
-            if silent_reads == SILENT_READS:
-                found = f"found no data for {SILENT_READS} reads after {self.position} planes"
-                raise DeviceError(found, "blocks", "check its cable and trigger", where=self.camera.id)
+            silent_reads += 1
+            if block is None and silent_reads == SILENT_READS:
+                raise self._silence(self.camera.parser.skipped_bytes - damaged_bytes)
             if block:
+                silent_reads, damaged_bytes = 0, self.camera.parser.skipped_bytes
                 self._receive(dataclasses.replace(block, first_plane=block.first_plane + self._began_again))
                 self.contact.count_block()
+
+    def _silence(self, damaged_bytes: int) -> DeviceError:
+        """Return the error of a camera that sends no blocks, but perhaps damaged ones."""
+        what, check = "no data", "check its cable and trigger"
+        if damaged_bytes:
+            what, check = f"{damaged_bytes} damaged bytes alone", "change its cable or port, or update its firmware"
+        found = f"found {what} for {SILENT_READS} reads after {self.position} planes"
+        return DeviceError(found, "blocks", check, where=self.camera.id)
 
     def _found_again(self, stop: threading.Event) -> bool:
         """Wait for a camera that was lost; where it came back, its planes go on where they belong."""
@@ -125,7 +151,7 @@ class Capture:
             return False
         self._began_again, self._dropped = round(found.run_s * rate_hz), 0
         first = self._backlog.first or 0
-        where = f"{self.camera.id} was away from plane {self.position - first} on and came back"
+        where = f"{self.camera.id} was away from plane {max(0, self.position - first)} on and came back"
         sure = f"placed to {found.uncertainty_s * rate_hz:.1f} planes" if found.uncertainty_s else "placed by a pulse"
         self.returned.append(f"{where} at plane {self._began_again - first}, {sure}")
         return True
@@ -141,10 +167,11 @@ class Capture:
         if lost < 0 or lost > LONGEST_GAP_S * self._rules.tick_rate_hz:
             do = "its counter began anew or cannot be right, reconnect it"
             raise DeviceError(f"found plane {block.first_plane}", str(self.position), do, where=where)
-        if not self.returned:
+        if self._stamps is not None and not self.returned:
             self._stamped_until_s = block.device_time_ns * 1e-9
             if block.pulse_time_s is not None:
-                self._stamps.append((block.sync_pulses - 1, block.pulse_time_s))
+                recorded = self._backlog.first is not None
+                self._stamps.add(block.sync_pulses - 1, block.pulse_time_s, recorded=recorded)
         dropped = max(0, block.dropped_planes - self._dropped)
         self._dropped = block.dropped_planes
         self.position = block.first_plane + planes

@@ -1,6 +1,5 @@
 """Makes a whole recording: opens cameras by a URI, runs them once, and writes the truth where it is known."""
 
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from acquisition.scenes.glass import PERFECT, write_glass
 from acquisition.scenes.own import write_own
 from acquisition.scenes.truth import exposures_of, stride_of, write_truth
 from acquisition.scenes.view import Scenery
+from acquisition.session.memory import available_bytes
 from acquisition.session.rig_lock import rig_lock
 from acquisition.session.session import Control, record_session
 from acquisition.spikes.layout import PlaneLayout
@@ -133,9 +133,9 @@ def _draw_light(scene: Scenery, rig: Rig, planes: int, progress: Progress) -> fl
 
 
 def _check_memory(rig: Rig, pre_planes: int) -> None:
-    """Raise BadRecordingError where the planes before the trigger do not fit half of the memory that is free."""
+    """Raise BadRecordingError where the planes before the trigger do not fit half of the memory that can be had."""
     needed = pre_planes * sum(PlaneLayout(camera.width, camera.height).plane_bytes for camera in rig.cameras)
-    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    free = available_bytes()
     if needed > free // 2:
         raise BadRecordingError(
             f"found a pre-trigger of {needed} bytes", f"at most half of the {free} bytes of memory", "shorten it"

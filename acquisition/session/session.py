@@ -14,7 +14,7 @@ from acquisition.errors import DeviceError, StoppedError
 from acquisition.progress import Progress, silent
 from acquisition.recording.stream_writer import StreamWriter
 from acquisition.recording.writer import RecordingWriter
-from acquisition.session.capture import Capture, CaptureRules
+from acquisition.session.capture import SPARE_S, Capture, CaptureRules
 
 _REPORT_S, _SAVE_POLL_S = 0.2, 0.005
 _LAST_SAVE_S = 0.3  # seconds that an order to save may be slower than the one to stop behind it
@@ -139,13 +139,23 @@ class _Run:
         self._began = True
         first = 0
         if self._pre_planes is not None:
-            reached = min((c.position for c in self._captures if not c.failure), default=0)
+            reached = self._reached()
             first = max(0, reached - self._pre_planes)
             self._recording.trigger_plane, self._recording.first_plane = reached - first, first
         for capture in self._captures:
+            capture.lead = max(capture.lead, -first)  # there is nothing before its plane 0
             if self._planes is not None:
                 capture.end_at(first + self._planes)
             capture.begin_at(first)
+
+    def _reached(self) -> int:
+        """Return the plane of the rig clock that all cameras have sent; one that is lost, or lags, holds none up."""
+        for capture in self._captures:
+            capture.follow_the_rig_clock()
+        there = [c for c in self._captures if not c.failure]
+        reached = [c.reached for c in there if not c.contact.away] or [c.reached for c in there] or [0]
+        lag = round(SPARE_S / 2 * self._recording.rig.tick_rate_hz)
+        return max(min(reached), max(reached) - lag)
 
     def _end(self) -> None:
         self._ended = True
@@ -153,7 +163,7 @@ class _Run:
             self.abort.set()
             return
         margin = round(_STOP_MARGIN_S * self._recording.rig.tick_rate_hz)
-        last = max(capture.position for capture in self._captures) + margin
+        last = max(capture.reached for capture in self._captures) + margin
         for capture in self._captures:
             capture.end_at(last)
 

@@ -87,6 +87,10 @@ class SpikeStream:
         """Return planes [first, last) as a stream of their own; raises BadRecordingError outside the stream."""
         return SpikeStream(self.window(first, last), self.layout, self.tick_rate_hz)
 
+    def since(self, first: int) -> SpikeStream:
+        """Return planes [first, T) as a stream of their own, and what is behind the last one."""
+        return SpikeStream(self.window(first, len(self)), self.layout, self.tick_rate_hz, self.partial_bytes)
+
     def planes(self, first: int, last: int) -> NDArray[np.uint8]:
         """Unpack planes [last - first, H, W] of 0 and 1, row 0 at the top."""
         return packing.unpack(self.window(first, last), self.layout)

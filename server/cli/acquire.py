@@ -1,8 +1,6 @@
 """Commands that make and check recordings: simulate, record, import, verify."""
 
 import dataclasses
-import functools
-from collections.abc import Mapping
 from pathlib import Path
 
 import click
@@ -12,14 +10,13 @@ from acquisition.devices.open import Simulation, nested_in
 from acquisition.devices.registers import EXPOSURES, THRESHOLDS, Sensitivity
 from acquisition.errors import BadRecordingError
 from acquisition.recording.finalise import finalise
-from acquisition.recording.importing import FORMATS, TRAILING_COLUMNS, ImportOptions, Stream, import_recording
+from acquisition.recording.importing import FORMATS, TRAILING_COLUMNS, ImportOptions, import_recording
 from acquisition.recording.manifest import Manifest
 from acquisition.recording.reader import read_manifest
 from acquisition.recording.spikecv import read_size, write_config
 from acquisition.recording.verify import verify
 from acquisition.scenes.catalog import PURPOSES, SCENES
 from acquisition.scenes.glass import Glass
-from acquisition.session.alignment import align_by_light, firing_rate
 from acquisition.session.record import Take, record, simulate
 from acquisition.spikes.sensor import SENSOR_KINDS
 from acquisition.spikes.traits import Traits
@@ -27,6 +24,7 @@ from server.cli.operator import operator_control
 from server.cli.options import PATH, json_option, load_named_rig, new_recording, numbers_of, parse_size
 from server.cli.output import answer, warn
 from server.cli.progress import progress_of
+from server.cli.skews import began_by_light, skew_doubt
 
 MIN_RATE_HZ, MAX_RATE_HZ = 100.0, 1e6  # planes a second that `simulate` takes
 
@@ -205,6 +203,9 @@ def record_command(
 
 
 _POSES_HELP = "Nominal ones, of a drawing, are found from the scene.  [default: as RIG.toml says, else calibrated]"
+_ALIGN_HELP = (
+    "Find when each camera began from changes of light they all see, and leave out what was sent before all had."
+)
 _FORMATS_HELP = "Rows of pixels; rows with 16 more bits each; M1K40 segments, decoded to plain planes."
 
 
@@ -219,7 +220,7 @@ _FORMATS_HELP = "Rows of pixels; rows with 16 more bits each; M1K40 segments, de
 @click.option("--bit-order", type=click.Choice(["lsb", "msb"]), help="[default: lsb]")
 @click.option("--row-order", type=click.Choice(["bottom", "top"]), help="The row stored first. [default: bottom]")
 @click.option("--allow-partial", is_flag=True, help="Drop an incomplete last plane, and record its size.")
-@click.option("--align", is_flag=True, help="Estimate when each camera began from changes of light they all see.")
+@click.option("--align", is_flag=True, help=_ALIGN_HELP)
 @new_recording
 @json_option
 def import_command(
@@ -236,7 +237,7 @@ def import_command(
     if spikecv:
         size = _size_of(spikecv, size, options["format"])
     chosen = ImportOptions(size=size, **options)
-    found = functools.partial(_skews, tick_rate_hz=chosen.tick_rate_hz) if align else None
+    found = began_by_light if align else None
     manifest = import_recording(dats, cameras, out, chosen, progress_of("import"), warn=warn, align=found)
     _print_recording(out, manifest, as_json)
     if not as_json and chosen.poses is None and cameras.suffix == ".json":
@@ -276,16 +277,6 @@ def _size_of(spikecv: Path, size: tuple[int, int] | None, source_format: str) ->
     return found
 
 
-def _skews(streams: Mapping[str, Stream], tick_rate_hz: float) -> dict[str, tuple[float, float]]:
-    """Return the seconds by which each camera began after the first one, and their standard deviations."""
-    found = align_by_light({camera_id: firing_rate(stream) for camera_id, stream in streams.items()})
-    skews = {}
-    for camera_id, (planes, sd) in found.items():
-        click.echo(f"{camera_id}: began {planes:+.2f} planes (sd {sd:.2f}) after {next(iter(found))}", err=True)
-        skews[camera_id] = (planes / tick_rate_hz, sd / tick_rate_hz)
-    return skews
-
-
 def _print_recording(out: Path, manifest: Manifest, as_json: bool) -> None:
     cameras = {camera.id: {"planes": camera.planes, "drops": camera.drops} for camera in manifest.cameras}
     facts = {name: getattr(manifest, name) for name in ("tick_rate_hz", "status", "reason")}
@@ -294,4 +285,6 @@ def _print_recording(out: Path, manifest: Manifest, as_json: bool) -> None:
     planes = f"{counts[0]} planes each" if counts[0] == counts[-1] else f"{counts[0]} to {counts[-1]} planes"
     line = f"{out}: {len(cameras)} cameras, {planes} at {manifest.tick_rate_hz:g} Hz, {lost} planes lost"
     line += f"; incomplete: {manifest.reason}" if manifest.reason else ""
+    if doubt := skew_doubt(manifest):
+        warn(doubt)
     answer({"recording": str(out), **facts, "cameras": cameras}, line, as_json=as_json)

@@ -256,6 +256,23 @@ def test_a_damaged_block_is_dropped_and_counted(bench, camera):
     assert camera.parser.damages == 1
 
 
+def test_damage_without_an_end_is_no_block_and_ends_a_read(bench, camera, monkeypatch):
+    stream, sent = bench.model.stream, []
+    block = bytearray(stream.next_block())
+    block[100] ^= 16
+
+    def damaged() -> bytes:
+        sent.append(len(block))
+        return bytes(block) if len(sent) < 100_000 else b""
+
+    monkeypatch.setattr(stream, "next_block", damaged)
+    camera.ensure_ready()
+    bench.fire()
+    assert camera.read_block(0.05) is None
+    assert len(sent) < 100_000
+    assert camera.parser.skipped_bytes > 0
+
+
 def test_an_unplugged_camera_is_named_at_once_and_ever_after(bench, camera):
     camera.ensure_ready()
     bench.unplug()

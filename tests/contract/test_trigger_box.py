@@ -125,6 +125,13 @@ def test_a_box_can_be_fired_again(bench):
     assert box.status().pulses == 1
 
 
+def test_a_box_that_a_killed_program_left_pulsing_is_stopped_when_it_is_opened(bench):
+    bench.open().fire()
+    assert bench.model.status().state is BoxState.PULSING
+    bench.open()
+    assert bench.model.status().state is BoxState.IDLE
+
+
 def test_a_command_that_does_not_fit_is_refused(bench):
     bench.open()
     for command in (COMMAND.pack(COMMAND_REPORT, kind, 0) for kind in (BoxCommand.FIRE, BoxCommand.PERIOD)):

@@ -280,9 +280,14 @@ def test_import_aligns_cameras_by_a_flash(spike4dgs, tmp_path):
     code, _, err = spike4dgs(*args, "--out", tmp_path / "rec")
     assert code == 0
     assert [line for line in err if "cam02: began +15.0" in line]
-    entries = Recording.open(tmp_path / "rec").manifest.cameras
-    assert [round(entry.skew_s * 20_000) for entry in entries] == [0, -7, 15]
-    assert all(entry.skew_sd_s < 0.5 / 20_000 for entry in entries)
+    assert [line for line in err if line.startswith("cam01: began -") and line.endswith("first 22 planes are left out")]
+    recording = Recording.open(tmp_path / "rec")
+    entries = recording.manifest.cameras
+    assert [entry.planes for entry in entries] == [105, 98, 120]
+    for entry, dat, first in zip(entries, dats, (15, 22, 0), strict=True):  # the light comes on at plane 35 of each
+        assert recording.stream(entry.id).packed.tobytes() == dat.read_bytes()[125 * first :]
+        assert abs(entry.skew_s) <= 0.5 / 20_000
+        assert entry.skew_sd_s < 0.5 / 20_000
     dats[1].write_bytes(bytes(125 * 120))
     code, _, err = spike4dgs(*args, "--out", tmp_path / "other")
     assert code == 2

@@ -128,7 +128,7 @@ def test_nine_cameras_are_on_the_disk_bit_for_bit(tmp_path):
 
 
 class DriftingModel(StrainedModel):
-    """Its clock began 40 us late and runs 50 ppm fast; it missed pulse 5."""
+    """Its clock is 40 us ahead at the trigger and runs 50 ppm fast; it missed pulse 5."""
 
     def __init__(self, *arguments):
         super().__init__(*arguments, clock=DeviceClock(offset_s=40e-6, drift_ppm=50.0, missed=frozenset({5})))
@@ -142,8 +142,8 @@ def test_each_clock_is_told_from_the_sync_pulses(tmp_path):
     middle_s = PLANES / 20_000 / 2
     for camera in manifest.cameras:
         injected_s = 40e-6 + 50e-6 * middle_s if camera.id == "cam12" else 0.0
-        assert camera.skew_s == pytest.approx(injected_s, abs=1e-6)
-        assert camera.clock is not None
+        assert camera.skew_s == pytest.approx(-injected_s, abs=1e-6)  # a clock that is ahead is early
+        assert camera.clock["skew_s"] == pytest.approx(injected_s, abs=1e-6)
     assert manifest.camera("cam12").clock["drift_ppm"] == pytest.approx(50, abs=5)
 
 

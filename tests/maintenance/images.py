@@ -17,11 +17,12 @@ from server.errors import ServiceError
 ROOT = Path(__file__).parents[2]
 DOCKERFILE = ROOT / "docker" / "Dockerfile"
 ENGINES = ("docker", "podman", "buildah")
-IMAGES = {"server": "serve", "capture": "worker", "worker": "worker"}  # the command of each
+IMAGES = {"server": "serve", "capture": "worker", "worker": "worker", "appliance": "serve"}  # the command of each
+LEARNS, SHOWS = ("worker", "appliance"), ("server", "appliance")  # images with torch, and with the viewer
 _TOLD = re.compile(r"(PIP_|NODE_EXTRA|npm_config_|https?_proxy|SSL_)")
 _CERTIFICATES = "/etc/ssl/certs/ca-certificates.crt"
 _KEPT_CERTIFICATES = "/etc/ssl/machine.crt"  # packages write over the other
-# Run in the finished image: it records, a worker reconstructs; no compilers, no sources, and torch for workers alone.
+# Run in the finished image: it records, and reconstructs where it has torch; no compilers, no sources.
 _ASKED = """FROM spike4dgs-{name}
 RUN spike4dgs {command} --help
 RUN spike4dgs record --rig ci3x3 --devices "mock:fan_and_ball?samples=1" --ticks 60 --out /tmp/rec
@@ -98,7 +99,7 @@ def make_base(tag: str) -> None:
 
 def check(tool: str, name: str) -> None:
     """Ask a finished image for what it must have and must lack; raises ServiceError."""
-    torch, viewer = str(name == "worker").lower(), "-s" if name == "server" else "! -e"
+    torch, viewer = str(name in LEARNS).lower(), "-s" if name in SHOWS else "! -e"
     with tempfile.NamedTemporaryFile("w", suffix=".Dockerfile") as file:
         file.write(_ASKED.format(name=name, command=IMAGES[name], torch=torch, viewer=viewer))
         file.flush()

@@ -7,11 +7,12 @@ from acquisition.errors import DeviceError
 
 
 class PlainCamera:
-    """Has registers that never change and no clock; a subclass sends blocks."""
+    """Has registers that never change, no damage and no clock; a subclass sends blocks."""
 
     serial = ""
 
     def __init__(self):
+        self.parser = SimpleNamespace(skipped_bytes=0)
         self.registers = SimpleNamespace(read=lambda kind: Identity(3, 1) if kind is Identity else kind())
         self.registers.latch = self._refuse
 

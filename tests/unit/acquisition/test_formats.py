@@ -1,5 +1,7 @@
 """Layouts of other cameras than the plain one: rows with trailing bits, and M1K40 segments."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -89,6 +91,20 @@ def test_m1k40_planes_are_found_and_decoded(planes, written):
     np.testing.assert_array_equal(unpack(stream.window(2, 4), m1k40.LAYOUT), planes[2:4])
 
 
+def test_m1k40_files_of_any_length_take_a_share_of_their_bytes(written):
+    data = np.tile(written, (8, 1)).reshape(-1)
+    m1k40.locate(data)  # what is loaded on first use does not count
+    tracemalloc.start()
+    try:
+        stream = m1k40.locate(data)
+        kept, most = (size / len(data) for size in tracemalloc.get_traced_memory())
+    finally:
+        tracemalloc.stop()
+    assert len(stream) == 40
+    assert kept < 0.17  # ten bytes for 64
+    assert most < 0.5  # measured 0.38
+
+
 @settings(max_examples=15)
 @given(st.integers(1, PLANE - 1), st.integers(0, PLANE - 1))
 def test_m1k40_may_begin_and_end_anywhere(planes, written, head, tail):
@@ -119,6 +135,17 @@ def test_m1k40_a_plane_without_its_ends_keeps_its_time(planes, written):
     stream = m1k40.locate(kept.reshape(-1))
     assert stream.missing == {1: 300, 2: 400}
     np.testing.assert_array_equal(decoded(stream)[3:], planes[3:])
+
+
+def test_m1k40_planes_from_one_on_are_a_stream(planes, written):
+    lost = [2 * m1k40.SEGMENTS + 7, 3 * m1k40.SEGMENTS + 500, 3 * m1k40.SEGMENTS + 501]
+    stream = m1k40.locate(np.delete(written, lost, axis=0).reshape(-1)[5 * SEGMENT :])
+    later = stream.since(2)
+    assert len(later) == len(stream) - 2
+    assert (stream.missing, later.missing) == ({1: 1, 2: 2}, {0: 2})
+    assert later.skipped_bytes == 3 * PLANE - 6 * SEGMENT  # of the cut file
+    np.testing.assert_array_equal(later.window(0, 2), stream.window(2, 4))
+    np.testing.assert_array_equal(decoded(stream.since(0)), decoded(stream))
 
 
 def test_m1k40_unreadable_stretches_keep_their_time(planes, written):

@@ -168,6 +168,35 @@ def test_an_m1k40_stream_is_decoded_and_the_manifest_says_so(tmp_path):
     assert verify(tmp_path / "rec") == []
 
 
+def test_streams_that_began_apart_are_cut_to_one_instant(tmp_path, transforms, dats):
+    began = {camera_id: (0.0, 0.1) for camera_id in IDS} | {"cam01": (-7.3, 0.2), "cam12": (15.4, 0.0)}
+    names = [str(d) for d in dats]
+    import_recording(names, transforms(), tmp_path / "rec", OPTIONS, align=lambda streams: began)
+    recording = Recording.open(tmp_path / "rec")
+    assert verify(tmp_path / "rec") == []
+    for camera_id, dat in zip(IDS, dats, strict=True):
+        left_out = {"cam01": 23, "cam12": 0}.get(camera_id, 15)
+        assert recording.stream(camera_id).packed.tobytes() == dat.read_bytes()[130 * left_out :]
+        entry = recording.manifest.camera(camera_id)
+        planes, sd = began[camera_id]
+        assert entry.skew_s == pytest.approx((planes + left_out - 15.4) / 20_000)
+        assert abs(entry.skew_s) <= 0.5 / 20_000
+        assert entry.skew_sd_s == pytest.approx(sd / 20_000)
+    began["cam22"] = (200.0, 0.0)
+    with pytest.raises(BadRecordingError, match=r"cam00: found 90 planes, all sent before the last camera began"):
+        import_recording(names, transforms(), tmp_path / "none", OPTIONS, align=lambda streams: began)
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_stream_that_is_cut_keeps_its_partial_plane(tmp_path, transforms, dats):
+    dats[6].write_bytes(dats[6].read_bytes()[:-7])
+    began = {camera_id: (float(camera_id == "cam00"), 0.0) for camera_id in IDS}
+    options = ImportOptions(20_000.0, allow_partial=True)
+    import_recording([str(d) for d in dats], transforms(), tmp_path / "rec", options, align=lambda streams: began)
+    entry = Recording.open(tmp_path / "rec").manifest.camera("cam20")
+    assert (entry.planes, entry.partial_bytes) == (PLANES - 2, 123)
+
+
 def m1k40_bytes(planes):
     names = [(500, 0), *((n, c) for c in range(4) for n in range(1, 501) if (n, c % 3) != (500, 0)), (500, 3)]
     bits = np.zeros((len(planes), 2000, 512), dtype=np.uint8)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition.session.timing import TimingError, estimate_clock
+from acquisition.session.timing import MOST_STAMPS, StampLog, TimingError, estimate_clock
 
 PERIOD_S = 1e-3
 
@@ -146,3 +146,63 @@ def test_a_line_that_was_cut_is_a_range_and_a_drifting_clock_counts_right():
     found = estimate.with_missed_until(60 * (1 + 50e-6) + 5e-4, stamps[-1], PERIOD_S)
     assert found.missed_between == ((1000, 60_000, 59_001),)
     assert found.missed_pulses == ()
+
+
+def logged(pulses: np.ndarray, stamps_s: np.ndarray, *, recorded_from: int) -> StampLog:
+    """Give a log the stamps of `pulses`, of which none was missed unless it is not there."""
+    log = StampLog(PERIOD_S)
+    for counted, (pulse, stamp_s) in enumerate(zip(pulses.tolist(), stamps_s.tolist(), strict=True)):
+        log.add(counted, stamp_s, recorded=pulse >= recorded_from)
+    return log
+
+
+def test_the_clock_is_that_of_what_was_recorded_not_of_the_trigger():
+    pulses = np.arange(0, 61_000, 4)
+    log = StampLog(PERIOD_S)
+    for counted, stamp_s in zip(pulses.tolist(), stamped(pulses, 1e-6, 50, 0).tolist(), strict=True):
+        log.add(counted, stamp_s, recorded=counted >= 60_000)
+    found = log.estimate(60.0, 1.0)
+    assert found.skew_s == pytest.approx(1e-6 + 50e-6 * 60.5, abs=1e-9)
+    assert found.offset_s == pytest.approx(1e-6 + 50e-6 * 60.0, abs=1e-9)
+
+
+def test_stamps_of_a_long_wait_are_let_go_but_not_the_numbers_of_the_pulses():
+    """An hour's stamps, the clock's rate changing all the time: it is told from the last minute, by whole pulses."""
+    count = 10 * MOST_STAMPS
+    pulses = np.delete(np.arange(count), [3, 70_001, count - 7])
+    drift_ppm = 40 + 20 * np.sin(np.arange(count) / 60_000)
+    ahead_s = np.cumsum(drift_ppm * 1e-6 * PERIOD_S)
+    log = logged(pulses, (np.arange(count) * PERIOD_S + ahead_s)[pulses], recorded_from=count)
+    assert len(log._all().numbers) <= 1.5 * MOST_STAMPS
+    assert len(log._new) <= MOST_STAMPS
+    found = log.estimate(count * PERIOD_S, 0.0)
+    assert found.skew_s == pytest.approx(ahead_s[-1], abs=2e-5)  # measured 7e-6; 5.9e-3 ahead
+    assert (found.last_pulse, found.missed_pulses) == (count - 1, (count - 7,))
+
+
+def test_stamps_of_a_long_recording_are_thinned_and_every_missed_pulse_is_named():
+    count, missed = 10 * MOST_STAMPS, (3, 70_001, 99_999)
+    pulses = np.delete(np.arange(count), missed)
+    log = logged(pulses, stamped(pulses, 2e-6, 30, 1e-7), recorded_from=0)
+    assert len(log._all().numbers) <= 1.5 * MOST_STAMPS
+    found = log.estimate(0.0, count * PERIOD_S, count * PERIOD_S * (1 + 30e-6))
+    assert found.skew_s == pytest.approx(2e-6 + 30e-6 * count * PERIOD_S / 2, abs=1e-8)
+    assert (found.last_pulse, found.missed_pulses, found.missed_between) == (count - 1, missed, ())
+
+
+def test_a_log_is_what_an_estimate_of_all_stamps_is_while_it_keeps_them_all():
+    pulses = np.setdiff1d(np.arange(MOST_STAMPS - 1), [7, 1501, 9000])
+    stamps = stamped(pulses, 1e-5, 40, 3e-7)
+    whole = estimate_clock(np.arange(len(pulses)), stamps, PERIOD_S, 3.0)
+    assert logged(pulses, stamps, recorded_from=0).estimate(0.0, 3.0) == whole
+
+
+def test_a_log_of_a_clock_that_was_set_back_tells_no_time():
+    log = StampLog(PERIOD_S)
+    for counted in range(2 * MOST_STAMPS):
+        log.add(counted, counted % 1000 * PERIOD_S, recorded=False)
+    assert not log._new
+    with pytest.raises(TimingError, match="go backwards"):
+        log.estimate(0.0, 1.0)
+    with pytest.raises(TimingError, match="found no sync pulse"):
+        StampLog(PERIOD_S).estimate(0.0, 1.0)

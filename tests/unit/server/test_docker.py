@@ -51,7 +51,7 @@ def test_images_run_commands_that_exist() -> None:
 
 
 def test_images_hold_what_was_made_and_no_compiler() -> None:
-    assert IMAGES == ["server", "capture", "worker"]
+    assert IMAGES == ["server", "capture", "worker", "appliance"]
     for name in IMAGES:
         body = re.search(rf"AS {name}\n(.*?)(?=^FROM|\Z)", DOCKERFILE, re.MULTILINE | re.DOTALL)
         assert body is not None
@@ -84,7 +84,7 @@ def test_compose_files_use_images_settings_and_commands_that_exist(path: Path) -
         assert service["build"]["target"] in IMAGES
         for name, value in service.get("environment", {}).items():
             assert name == "PGPASSWORD" or name.removeprefix("SPIKE4DGS_").lower() in ServiceSettings.model_fields
-            assert name == "PGPASSWORD" or "PASSWORD" not in value  # a URL does not take every character
+            assert name == "PGPASSWORD" or "PASSWORD" not in (value or "")  # a URL does not take every character
         if service.get("network_mode") == "host":
             assert "healthcheck" in service
         if "command" in service:
@@ -92,6 +92,25 @@ def test_compose_files_use_images_settings_and_commands_that_exist(path: Path) -
         for volume in service["volumes"]:
             source = re.sub(r"\$\{.*?\}", "./rigs", volume).split(":")[0]
             assert source in (*document["volumes"], "/dev", "./rigs")
+
+
+@pytest.mark.parametrize("path", COMPOSE, ids=lambda path: path.stem)
+def test_no_default_in_a_compose_file_has_braces(path: Path) -> None:
+    """Older releases end a default at its first closing brace, and the rest of it is put behind any value."""
+    assert not re.findall(r"\$\{\w+:?[-?][^}]*\{", path.read_text())
+
+
+def test_what_opens_the_viewer_has_it() -> None:
+    for path in COMPOSE:
+        for name, service in yaml.safe_load(path.read_text())["services"].items():
+            if "build" not in service:
+                continue
+            target = service["build"]["target"]
+            command = re.search(rf"AS {target}\n(?:.*\n)*?CMD (.*)", DOCKERFILE)
+            assert command is not None
+            serves = "serve" in service.get("command", json.loads(command[1]))
+            assert (STAGES[target + MADE] == "viewer") == serves, (path.name, name)
+    assert "server/page/viewer/vendor" in (ROOT / ".dockerignore").read_text().split()  # it is made in the image
 
 
 def test_the_unit_starts_a_command_that_exists() -> None:
