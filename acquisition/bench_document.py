@@ -9,6 +9,8 @@ from pathlib import Path
 
 from acquisition.revision import code_revision
 
+OLDER = "old"  # what rows of an older revision, measured beside this one, have as `which`
+
 
 @dataclass
 class BenchDocument:
@@ -47,8 +49,12 @@ def machines_of(document: dict, rows: Sequence[dict]) -> str:
 
 
 def revisions_of(document: dict, rows: Sequence[dict]) -> str:
-    """Name the revisions that made `rows`: their own where they are runs of cells, else the document's."""
-    known = sorted({row["revision"] for row in rows if "asked" in row} or {document["revision"]})
+    """Name the revisions that made `rows`: their own where they tell, else the document's.
+
+    Rows of an older revision, which this one is measured beside, do not count.
+    """
+    own = [row for row in rows if row.get("which") != OLDER]
+    known = sorted({row["revision"] for row in own if "revision" in row} or {document["revision"]})
     return f"revision{'s' if len(known) > 1 else ''} {', '.join(known)}"
 
 

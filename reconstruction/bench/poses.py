@@ -21,6 +21,8 @@ from acquisition.revision import code_revision
 from acquisition.scenes.boards import charuco
 from acquisition.scenes.misplaced import misplaced
 from reconstruction.bench.conventions import HOLDOUT, VIEWS, KnownRecording, means, measure_parts, named
+from reconstruction.bench.paper.digest import code_and_machine
+from reconstruction.bench.paper.method import Method
 from reconstruction.calibration.board_spec import parse_board
 from reconstruction.calibration.boards import calibrate_board
 from reconstruction.calibration.natural import gather, solve
@@ -49,6 +51,7 @@ SWEPT_CLIPS = 2  # recordings, the first ones, for these
 SCORES = ("rotation_deg", "translation_percent", "focal_percent", "seconds", "abs_rel", "complete", "points_abs_rel")
 CLOSE = 0.01  # relative error up to which a depth counts as complete
 MOST_POINTS = 20000  # points of a method's own that are scored
+LEARNED = Method("poses", {"init": "msdi"})  # what runs all that methods here do, networks included
 WRONG = 0.5  # relative error at most, of a point behind a camera, say
 Rows = Callable[[], list[dict]]
 Run = Callable[[Recording, Sequence[str], int | None], Geometry]  # of a recording, views, and most planes (None: all)
@@ -102,14 +105,14 @@ def bench_poses(
 ) -> BenchDocument:
     """Measure every method on every clip, then the best of them with worse rigs, fewer views and shorter recordings.
 
-    `board` is a recording of the board that the method of that name sees. Rows found in the folder `work` are not
-    measured again, so that a stopped bench resumes.
+    `board` is a recording of the board that the method of that name sees. Rows of this code in the folder `work`
+    are not measured again, so that a stopped bench resumes.
     """
     asked = [(clip, *part) for number, clip in enumerate(clips) for part in parts_of(number, clip, quick)]
     if board:
         asked.append((board, BOARD, lambda: [measured(BOARD, board)]))
     parts = {f"{clip.scene}-{clip.seed}-{about.replace(' ', '-')}": partial(_add, rows) for clip, about, rows in asked}
-    document = measure_parts("poses", parts, work, progress)
+    document = measure_parts("poses", parts, work, progress, code_and_machine(LEARNED))
     _summarise(document)
     document.omissions += [
         "TFI + DUSt3R: no checkpoint is at hand (its licence forbids to ship one); `--init dust3r` takes one's own",

@@ -1,6 +1,7 @@
 """Measures SPSS, the loss of Spike4DGS, on recorded spikes: beside the pixel loss, by weight, at equal steps and time.
 
-In a row with a weight, images take turns with the loss, which compares how rendered and recorded spikes change.
+The loss compares how rendered and recorded spikes change. In a row with a weight, it comes to the loss on images in
+every second step. In a row where it is alone, it takes the place of that loss there, as in the paper's chain.
 """
 
 from collections.abc import Callable
@@ -32,26 +33,41 @@ SHOWN = {
 }
 PARTS = {"spikes2": ".2f", "motion": ".0%", "counting": ".0%", "noise": ".0%"}
 COLUMNS = ("row", "at", "PSNR / dB", "movers / dB", "to the same without", "movers", "Abs Rel", "steps / s", "scenes")
-ABOUT = """Development scenes, the second seed of each. With a weight, every second step has the spike loss alone (SPSS
-as we read it, decision 151), and the others the loss on images. Differences are means over the scenes that both rows
-have."""
+ABOUT = """Development scenes, the second seed of each. With a weight, every second step has the loss on images and, by
+the weight, the spike loss (SPSS as we read it, decision 151), and the others the loss on images alone. `+spss-alone`:
+every second step has the spike loss alone, as in the chain of the paper's tables. Differences are means over the scenes
+that both rows have."""
 SHARES = """The loss sees the variance of how counts differ from window to window; here it is that of a clip of
 `fan_and_ball`. *Motion* is that of true charges, *counting* what whole spikes of an unknown phase add, *noise* the
 rest."""
 
 
 def spss_protocol(scenes: tuple[str, ...] = SCENES, *, quick: bool = False) -> Protocol:
-    """Return the runs of the bench: each base without the loss, then by weight, at each effort."""
+    """Return the runs of the bench: each base without the loss, then by weight, at each effort.
+
+    The loss alone in its steps comes last, at equal steps.
+    """
     weights, efforts = (WEIGHTS[:1], QUICK_EFFORTS) if quick else (WEIGHTS, EFFORTS)
     methods = [*BASES, *(weighted(base, weight) for weight in weights for base in BASES)]
-    table = Table("spss", "SPSS", "", tuple(Row(method.name, method) for method in methods))
-    names = tuple(method.name for method in methods)
-    return Protocol((table,), tuple(Batch("spss", (scene,), efforts, names) for scene in scenes))
+    others = [] if quick else [alone(base) for base in BASES]
+    table = Table("spss", "SPSS", "", tuple(Row(method.name, method) for method in (*methods, *others)))
+    kinds = ((methods, efforts), (others, efforts[:1]))
+    batches = [
+        Batch("spss", (scene,), lengths, tuple(method.name for method in some))
+        for some, lengths in kinds
+        for scene in (scenes if some else ())
+    ]
+    return Protocol((table,), tuple(batches))
 
 
 def weighted(base: Method, weight: float) -> Method:
     """Return a method with SPSS beside its loss on images."""
     return base.changed(f"{base.name}+spss@{weight:g}", supervision="variation", spike_weight=weight)
+
+
+def alone(base: Method) -> Method:
+    """Return a method with SPSS in place of its loss on images in every second step."""
+    return base.changed(f"{base.name}+spss-alone", supervision="variation")
 
 
 def bench_spss(

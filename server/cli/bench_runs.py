@@ -265,7 +265,7 @@ BENCHES: dict[str, Bench] = {
     "msdi": Bench("what joint training and pretrained images buy MSDI", _msdi, _draw_page, trains=True),
     "viewpoints": Bench("views that nobody captured, of the runs of paper", _viewpoints, _draw),
     "defects": Bench("what real cameras, light and walls cost, with their cures and without", _defects, _draw),
-    "leave-out": Bench("the plan's choices against everything switched on", _leave_out, _draw),
+    "leave-out": Bench("the plan's choices against every one switched", _leave_out, _draw),
     "long": Bench("long recordings in spans, against parts of them alone", long_recordings, draw_long),
     "speed": Bench("how much sooner than an older revision: whole runs and single steps, in turns", speed, draw_speed),
     "uncertainty": Bench("expected errors against true ones", uncertainty, draw_uncertainty, trains=True),

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from maintenance.beside_the_paper import BESIDE, paper_table
 
+from acquisition.bench_document import revisions_of
 from reconstruction.bench.conventions import means
 from reconstruction.bench.paper.tables import markdown
 
@@ -28,9 +29,13 @@ ABOUT = {
     "plane, `trains` of single pixels. Means are harmonic.",
     "defects": "The development scenes at equal steps. `cost_db`: what a defect takes from the clean recording of the "
     "same scene, over the whole picture and over movers; `uncured_`: without the cure. `built`: cameras 2 degrees off "
-    "the drawing, whose rig file knows it; the costs of `rig-off` and `together`, which must find it, count from "
-    "there. `pixels` without its cure is a recording without maps. `together`: 10% barrel, 3% pixel spread, 5% "
-    "camera gains, lags of a plane, and a rig 2 degrees off.",
+    "the drawing, whose rig file knows it; the costs of `rig-off`, which must find it, count from there, and those of "
+    "`together` from `built-bent-with-maps`, which has its lenses and maps of its pixels, too. Those of `pixels`, "
+    "`vignetting` and `harsh` count from `clean-maps`; without their cure they have no maps. `together`: 10% barrel, "
+    "3% pixel spread, 5% camera gains, lags of a plane, and a rig 2 degrees off. Costs are of means over the seeds of "
+    "trainings, `cost_spread_db` the range of the differences seed by seed. Older rows, which name no seed of a "
+    "training, are one run each, held against recordings without maps and bent lenses; `uncured_` of their `together` "
+    "finds its lens all the same.",
     "faults": "Rounds of a real web process with two workers, jobs that sleep, and captures by the real recorder on "
     "simulated cameras, while processes are killed with kill -9 and clients cancel, resume, restart, stop, save and "
     "finalise; both databases side by side. `lost`: accepted and gone; `undone`: never ended; `repeated`: ended work "
@@ -44,8 +49,9 @@ ABOUT = {
     "images": "The evaluation scenes, centre camera, 400x250, real sensor, three instants each; PSNR and SSIM against "
     "the exact light. `@light`: factors of the scene's light; `@drop` and `@reintegrate`: planes a second.",
     "leave-out": "200x125, 400 steps, as many Gaussians as the plan chooses. Positive costs are what the plan loses "
-    "against the other run; `saves` is what the other run takes more. `everything on` is an engine that does not "
-    "look at the scene.",
+    "against the other run; `saves` is what the other run takes more. `every choice switched` has straight paths for "
+    "all pixels, poses searched and refined, gains, adaptive images at every plane, and image variation: an engine "
+    "that does not look at the scene, and no bound of what a plan could reach.",
     "pixels": "A still picture by a centre camera whose pixels were calibrated from a flat and a dark recording.",
     "poses": "The rig as drawn is the true one misplaced by about 2 degrees, 2 cm and 2% of the focal length. Errors "
     "are after similarity alignment; refused runs are not in the means. `nominal`, `views`, `planes` with a number: "
@@ -62,7 +68,8 @@ ABOUT = {
     "`least`: what no schedule of these tasks is below.",
     "stability": "`rows` is the number of backends, methods or models that a case ran on.",
     "training": "Budgets are wall seconds to the last checkpoint, images and points included, in a process that has "
-    "loaded its libraries; true poses. `model.*` and `supervision.*` change one choice on the development scene.",
+    "loaded its libraries; true poses. `auto` is a mean over evaluation scenes; `model.*` and `supervision.*` change "
+    "one choice on the development scene, so that `model.bases` is what they are to be held against.",
     "viewpoints": "The paper bench's runs of a minute from where no camera stood: along the middle row of the array, "
     "outwards from a corner camera, towards the scene and away from it. Cameras stand at -0.2, 0 and 0.2 m.",
 }
@@ -83,12 +90,13 @@ LEFT_OUT_SCORES = (
 
 def page(name: str, document: dict) -> str:
     """Return the page of a document: its head, its own tables, its summary and its omissions."""
-    device = document["device"]
-    head = (
-        f"`{COMMANDS.get(name, f'spike4dgs bench {name}')}`, revision {document['revision']}, {device['processor']}, "
-    )
+    device, rows = document["device"], document["rows"]
+    command = COMMANDS.get(name, f"spike4dgs bench {name}")
+    head = f"`{command}`, revision {document['revision']}, {device['processor']}, "
     accelerator = device.get("accelerator") or ""
     head += f"{device['threads']} threads{accelerator and f', {accelerator}'}; "
+    older = revisions_of(document, rows) != revisions_of(document, [])
+    head += f"rows of {revisions_of(document, rows)}; " if older else ""
     head += f"drawn from [{name}.json]({name}.json) by `make evidence`."
     parts = [f"# {name.capitalize().replace('_', ' ')}", head, ABOUT[name]]
     parts += [paper_table(name, document)] if name in BESIDE else []
@@ -163,7 +171,9 @@ def _left_out(document: dict) -> str:
     for key in (key.removesuffix(".saved_s") for key in summary if key.endswith(".saved_s")):
         case, _, decision = key.partition(".")
         values = [(summary.get(f"{key}.{name}"), form) for name, form in LEFT_OUT_SCORES]
-        lines.append([case, decision or "everything on", *("" if v is None else format(v, form) for v, form in values)])
+        lines.append(
+            [case, decision or "every choice switched", *("" if v is None else format(v, form) for v, form in values)]
+        )
     columns = ("case", "against", "saves / s", "claims / s", "saves / MB", "claims / MB", "costs / dB", "movers / dB")
     missed = [[key, f"{value:.5g}"] for key, value in summary.items() if key.startswith("missed-mover")]
     about = "A plan that is wrong: `faint` has a mover that the plan takes for still, and the watch undoes it."

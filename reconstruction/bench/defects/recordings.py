@@ -10,6 +10,7 @@ from typing import Any
 from acquisition.devices.open import Simulation
 from acquisition.durable import made_aside, write_durably
 from acquisition.recording.reader import Recording
+from acquisition.scenes.truth import EVERY
 from acquisition.session.record import simulate
 from reconstruction.bench.conventions import apart, truth_of
 from reconstruction.images.pixels import estimate_pixels, write_pixels
@@ -27,7 +28,7 @@ class Defect:
     `bent`: lenses bend as BARREL says. `rate_hz`: planes a second. `maps`: flat and dark recordings of the same sensors
     calibrate the pixels. Without the cure a run has the choices `uncured`, and takes bent lenses for pinholes. `told`:
     the recording is that of another defect, with a rig file that has the cameras as they were built. Costs are counted
-    from the recording of the same scene that is named `against`.
+    from the recording of the same scene that is named `against`. `seeds` are those of its trainings.
     """
 
     name: str
@@ -38,15 +39,22 @@ class Defect:
     uncured: dict[str, Any] = field(default_factory=dict)
     told: Defect | None = None
     against: str = "clean"
+    seeds: tuple[int, ...] = (0,)
 
     @property
     def curable(self) -> bool:
-        """A flag: the engine has a cure that can be switched off."""
-        return self.bent or bool(self.uncured)
+        """A flag: the engine has a cure that can be switched off.
+
+        A bent lens of a nominal rig has none: the search for poses finds it, whether the file tells it or not.
+        """
+        return bool(self.uncured) or (self.bent and "rig_error" not in self.simulated)
 
 
 def recorded(work: Path, rig: Rig, subject: tuple[str, int], defect: Defect) -> Path:
-    """Return the recording of a scene and seed with a defect in `work`, simulated by `rig` where there is none."""
+    """Return the recording of a scene and seed with a defect in `work`, simulated by `rig` where there is none.
+
+    Truth stands at the same instants at every rate, to half a plane.
+    """
     if defect.told:
         return as_built(recorded(work, rig, subject, defect.told))
     scene, seed = subject
@@ -54,8 +62,10 @@ def recorded(work: Path, rig: Rig, subject: tuple[str, int], defect: Defect) -> 
     if not path.exists():
         seen = _seen_by(work, rig, seed, defect)
         ticks = round(TICKS * seen.tick_rate_hz / rig.tick_rate_hz)
+        every = max(1, round(EVERY * seen.tick_rate_hz / rig.tick_rate_hz))
+        simulation = Simulation(scene, seed, truth_every=every, **defect.simulated)
         with made_aside(path) as aside:
-            apart(partial(simulate, Simulation(scene, seed, **defect.simulated), seen, ticks, aside))
+            apart(partial(simulate, simulation, seen, ticks, aside))
     return path
 
 

@@ -1,8 +1,9 @@
-"""Measures what a plan leaves out against a run that leaves out nothing: seconds, memory and error.
+"""Measures a plan against a run with every choice switched, and with a single one: seconds, memory and error.
 
 Every run is made in a process of its own, at equal steps and at equal time. `cost_db` is how much better the other run
-is (a plan may cost 0.1 dB), `saved_s` and `saved_mb` how much more processor time and memory it takes. Of a single
-decision these stand beside the plan's own claims. The price of a wrong plan is measured by a mover that it misses, with
+is (a plan may cost 0.1 dB), `saved_s` and `saved_mb` how much more processor time and memory it takes. The run with
+every choice switched is no bound: its paths are straight, where plans with movers choose bodies. Of a single decision
+these stand beside the plan's own claims. The price of a wrong plan is measured by a mover that it misses, with
 the watch and without.
 
 Clips are small, 200x125 and mostly 200 planes; one is long and at rest. Each run has as many Gaussians as its plan
@@ -22,6 +23,7 @@ from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
 from reconstruction.bench.conventions import apart, kept
 from reconstruction.bench.leave_out.cases import BLIND, CASES, GREY, MISSED, PLAN, UNWATCHED, Arm, Job, PlanCase
+from reconstruction.bench.paper.digest import code_and_machine
 from rigs.toml import catalog_rig
 
 SIZE = (200, 125)  # pixels of a clip
@@ -53,7 +55,7 @@ class Runs:
             length = (None, budget_s) if budget_s else (self.steps, None)
             return apart(partial(_measured, Job(recorded(case, self.work), arm, self.work / f"{name}.run", *length)))
 
-        return about | kept(self.work / f"{name}.json", measure)
+        return about | kept(self.work / f"{name}.json", measure, code_and_machine())
 
 
 def bench_leave_out(
@@ -64,10 +66,10 @@ def bench_leave_out(
     cases: Sequence[PlanCase] = CASES,
     time_left: Callable[[], bool] = lambda: True,
 ) -> BenchDocument:
-    """Run every case by its plan, with everything on, and with each of its decisions switched; runs lie in `work`.
+    """Run every case by its plan, with every choice switched, and with each of its decisions; runs lie in `work`.
 
-    `quick`: the first case alone, in few steps. Without `time_left` no further case is begun. A run found in `work` is
-    not repeated, so that a stopped bench resumes.
+    `quick`: the first case alone, in few steps. Without `time_left` no further case is begun. A run of this
+    code in `work` is not repeated, so that a stopped bench resumes.
     """
     document = BenchDocument("leave-out")
     work.mkdir(parents=True, exist_ok=True)
@@ -89,9 +91,9 @@ def bench_leave_out(
 
 def _compare(document: BenchDocument, runs: Runs, case: PlanCase) -> None:
     """Add a case at equal steps and at equal time, and each of its decisions."""
-    plan, everything = runs.row(case, PLAN, "all"), runs.row(case, case.all, "all")
-    document.rows += [plan, everything]
-    document.summary |= costs(case.name, plan, everything)
+    plan, switched = runs.row(case, PLAN, "all"), runs.row(case, case.all, "all")
+    document.rows += [plan, switched]
+    document.summary |= costs(case.name, plan, switched)
     if runs.budget_s:
         pair = [runs.row(case, arm, "all", runs.budget_s) for arm in (PLAN, case.all)]
         document.rows += pair

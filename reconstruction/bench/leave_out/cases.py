@@ -40,7 +40,7 @@ class PlanCase:
     """A recording of `ticks` planes; `switches` are the arms that decide otherwise, named by the decision.
 
     `dead`: a camera whose planes are empty. `devices`: how the simulated cameras differ from the plain ones.
-    `everything`: choices of the arm `all` beyond EVERYTHING.
+    `otherwise`: choices of the arm `all` in place of those of SWITCHED.
     """
 
     name: str
@@ -50,15 +50,15 @@ class PlanCase:
     ticks: int = TICKS
     dead: str | None = None
     devices: dict[str, Any] = field(default_factory=dict)
-    everything: dict[str, Any] = field(default_factory=dict)
+    otherwise: dict[str, Any] = field(default_factory=dict)
 
     @property
     def all(self) -> Arm:
-        """The run that leaves out nothing."""
-        return Arm("all", EVERYTHING | self.everything, everywhere=True)
+        """The run that takes every choice otherwise than a plan does, and every pixel for one that moves."""
+        return Arm("all", SWITCHED | self.otherwise, everywhere=True)
 
 
-EVERYTHING: dict[str, Any] = {
+SWITCHED: dict[str, Any] = {
     "model": "linear",
     "init": "natural",
     "images": "adaptive",
@@ -85,8 +85,8 @@ CASES = (
     PlanCase("calibrated", "fan_and_ball", 2, (Arm("poses", {"init": "natural"}), Arm("gains", {"gains": "on"}))),
     PlanCase("unlike-cameras", "fan_and_ball", 1, (Arm("gains", {"gains": "off"}),), devices=UNLIKE),
     PlanCase("few-movers", "stiff", 101, (IMAGES, Arm("instants", {"tick_stride": 1}))),
-    PlanCase("dim", "dim", 101, (MOTION,), ticks=800, everything=AS_GIVEN),
-    PlanCase("one-dead-view", "fan_and_ball", 3, (ALL_VIEWS,), dead=DEAD, everything=AS_GIVEN | {"views": VIEWS}),
+    PlanCase("dim", "dim", 101, (MOTION,), ticks=800, otherwise=AS_GIVEN),
+    PlanCase("one-dead-view", "fan_and_ball", 3, (ALL_VIEWS,), dead=DEAD, otherwise=AS_GIVEN | {"views": VIEWS}),
     PlanCase("painted", "plain", 101, (EVEN,)),
     PlanCase("bending", "deforming", 101, (WHOLE,)),
     PlanCase("outdoors", "outdoor", 101, (IMAGES, Arm("Gaussians", {"gaussians": TWICE}))),

@@ -117,9 +117,11 @@ def _trained(job: Job, channels: int) -> dict:
     shares = [step / job.steps for step in range(job.steps)]
     _, row = _clocked(lambda: [trainer.step(share) for share in shares])
     trainer.settle()
-    for part in (cloud.still, cloud.moving):
+    learnt = trainer.cloud
+    assert isinstance(learnt, DynamicCloud)
+    for part in (learnt.still, learnt.moving):
         part.intensities = part.intensities.detach()[:, :1]
-    return row | {"steps": trainer.steps} | _scores(run, cloud)
+    return row | {"steps": trainer.steps} | _scores(run, learnt)
 
 
 class EveryChannel(ImageTerm):

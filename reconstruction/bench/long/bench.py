@@ -20,7 +20,8 @@ from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
 from reconstruction.bench.conventions import kept, means
 from reconstruction.bench.long.part import cut_out
-from reconstruction.bench.long.seams import measured_seams
+from reconstruction.bench.long.seams import finished, measured_seams
+from reconstruction.bench.long.spans import scored_spans
 from reconstruction.bench.paper.digest import this_code
 from reconstruction.bench.speed.run import SCORES, Contender, run_to_end
 from reconstruction.run.spans import Span, cut
@@ -141,8 +142,12 @@ def _told(run: Path) -> dict:
     """Return the bytes of the scene of a run, without its optimiser's, its floors, and of its spans and seams."""
     metrics, scene = json.loads((run / "metrics.json").read_text()), io.BytesIO()
     torch.save(load_checkpoint(run / CHECKPOINT)["cloud"], scene)
-    blend = {name: metrics[name] for name in FLOORS if name in metrics}
-    return {"stored_bytes": scene.tell(), "spans": metrics.get("spans", []), **blend, **measured_seams(run)}
+    told = {"stored_bytes": scene.tell(), "spans": metrics.get("spans", [])}
+    told |= {name: metrics[name] for name in FLOORS if name in metrics}
+    trained = finished(run)
+    if trained is None or not told["spans"]:
+        return told
+    return told | measured_seams(trained) | {"spans": scored_spans(trained, told["spans"])}
 
 
 def summarise(rows: Sequence[dict]) -> dict[str, float]:

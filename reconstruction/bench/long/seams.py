@@ -11,30 +11,33 @@ from reconstruction.evaluation.identities import identities
 from reconstruction.gaussians.spanned import SpannedScene
 from reconstruction.gaussians.tracks import tracks_of
 from reconstruction.pipeline.artefacts import posed, recording_of
-from reconstruction.pipeline.judged import judged
+from reconstruction.pipeline.judged import Trained, judged
 from reconstruction.run.folder import RunFolder
 from reconstruction.truth import Truth
 from rigs.rig import object_distance_m
 
 
-def measured_seams(path: Path) -> dict[str, float]:
+def finished(path: Path) -> Trained | None:
+    """Return the finished run in `path` beside its truth; None where its recording has none."""
+    run = RunFolder.open(path)
+    recording = posed(run, recording_of(run), refined=True)
+    return judged(run, recording, Truth.open(recording.truth)) if recording.truth else None
+
+
+def measured_seams(trained: Trained) -> dict[str, float]:
     """Return what there is to say of the seams of a finished run; nothing without spans or truth.
 
     `seam_ratio`: by how much more the error steps at seams than within spans. A step is the root mean square, over
     pixels that move, of the change of render minus truth from one instant of truth to the next. `followed`: how often
     a body was followed across a seam. `switched`: how often it was another object then.
     """
-    run = RunFolder.open(path)
-    recording = posed(run, recording_of(run), refined=True)
-    if recording.truth is None:
-        return {}
-    trained = judged(run, recording, Truth.open(recording.truth))
     if not isinstance(trained.cloud, SpannedScene) or trained.held_out is None or trained.truth is None:
         return {}
     at_seams, within = steps_of_error(trained.cloud, trained.held_out, trained.truth)
     ratio = {"seam_ratio": float(np.mean(at_seams) / np.mean(within))} if at_seams and within else {}
-    tracks = tracks_of(trained.cloud, object_distance_m(recording.rig.cameras))
-    found = identities(tracks, trained.cloud, trained.camera, trained.truth, recording.rig.clock)
+    rig = trained.recording.rig
+    tracks = tracks_of(trained.cloud, object_distance_m(rig.cameras))
+    found = identities(tracks, trained.cloud, trained.camera, trained.truth, rig.clock)
     return {**ratio, "followed": found.followed, "switched": found.switched}
 
 

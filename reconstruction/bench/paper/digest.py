@@ -9,13 +9,14 @@ import functools
 import hashlib
 import importlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
 import acquisition
 import reconstruction
 import rigs
+from acquisition.bench_document import device
 from acquisition.recording.manifest import MANIFEST_FILE
 from reconstruction.bench.paper.method import Cell, Method
 from reconstruction.images import catalogue as images
@@ -24,6 +25,7 @@ from reconstruction.methods.catalogue import METHODS, OURS
 SHOWN = ("bench", "stability", "report", "export", "uncertainty")  # folders of `reconstruction` that look at results
 ASIDE = ("pipeline/report_page.py", "calibration/check.py")  # no score goes through them
 TRAINING = ("networks/training/", "networks/train.py", "scenes/random/")  # makes networks, and is in no run
+MSDI_WEIGHTS = "networks/msdi/weights/"
 OF_ALL_METHODS = ("__init__", "catalogue", "definition")
 NETWORK_INITIALISERS = ("msdi", "dust3r")
 SUFFIXES = {".py", ".cpp", ".h", ".npz", ".toml", ".json"}
@@ -48,6 +50,22 @@ def this_code(method: Method = PLANNED) -> str:
     return code_digest(method)[:KEPT_DIGITS]
 
 
+def code_and_machine(method: Method = PLANNED) -> dict[str, str | int]:
+    """Return the `method`'s code and this machine, of which a result must be to be taken from a cache."""
+    return device() | {"code": this_code(method)}
+
+
+def networks_code() -> str:
+    """Return the first digits of a digest of all that networks start from and are trained by.
+
+    The weights of MSDI that ship are not among it: no training begins with them unasked.
+    """
+    root = Path(reconstruction.__path__[0])
+    files = [path for path in (root / "networks").rglob("*") if path.suffix in SUFFIXES]
+    named = ((path.relative_to(root).as_posix(), path) for path in files)
+    return _digest_over((name, path) for name, path in named if not name.startswith(MSDI_WEIGHTS))[:KEPT_DIGITS]
+
+
 def code_digest(method: Method) -> str:
     """Return the SHA-256 over the names and contents of the sources that `method` runs."""
     model, source, init = (method.choices.get(choice, AUTO) for choice in ("model", "images", "init"))
@@ -57,8 +75,12 @@ def code_digest(method: Method) -> str:
 
 @functools.cache
 def _digest_of(model: str, networks: bool) -> str:
+    return _digest_over(_sources(model, networks))
+
+
+def _digest_over(sources: Iterable[tuple[str, Path]]) -> str:
     digest = hashlib.sha256()
-    for name, path in sorted(_sources(model, networks)):
+    for name, path in sorted(sources):
         digest.update(f"{name}\0".encode() + hashlib.sha256(_meaning(path)).digest())
     return digest.hexdigest()
 

@@ -32,7 +32,7 @@ CHAIN = Method(
 )
 ROWS = (
     Row("Ours", m.AUTO),
-    Row("Ours on clean images: the bound", m.CLEAN),
+    Row("Ours on clean images, at every 20th plane", m.CLEAN),
     Row("Our images + STG", OURS_STG),
     Row("TFI + STG", m.TFI["stg"], "TFI + STG"),
     Row("TFI + 4DGS", m.TFI["4dgs"], "TFI + 4DGS"),

@@ -10,13 +10,14 @@ from reconstruction.bench.conventions import made_by
 from reconstruction.bench.paper.tables import markdown
 from reconstruction.bench.speed.run import NEW, OLD
 from reconstruction.bench.speed.summary import (
+    BEST,
     LEVELS,
     LOADED,
     PART,
     STAGE,
     STEPS,
     clips_of,
-    compared,
+    differences,
     end_name,
     ends,
     level_seconds,
@@ -31,6 +32,7 @@ ABOUT = (
     "run with that budget. Seconds are wall seconds from the start of the process to its last checkpoint. Idle threads "
     "sleep, as where the service runs a stage. `stolen`: share of the processors' time that other guests took."
 )
+GAINS = f"New runs less the longest old one, the one of the same budget, and `{BEST}`: each score's best of any budget."
 END_FORMS = (
     ("psnr_db", "PSNR / dB", ".2f"),
     ("dynamic_psnr_db", "movers / dB", ".2f"),
@@ -74,18 +76,18 @@ def _ends(document: dict) -> str:
 
 
 def _gains(document: dict) -> str:
-    """Return ends less ends: a gain in dB, a loss in depth where Abs Rel is positive."""
+    """Return ends less ends: a gain in dB, a loss in depth where Abs Rel is positive; of old documents as of new."""
     found: dict[tuple[str, str], dict[str, float]] = {}
-    for key, value in document["summary"].items():
+    for key, value in differences(document["rows"]).items():
         clip, _, rest = key.partition(".")
         pair, _, score = rest.rpartition(".")
-        if compared(key):
-            found.setdefault((clip, pair.replace("-", " - ")), {})[score] = value
+        found.setdefault((clip, pair.replace("-", " - ")), {})[score] = value
     lines = [
         [*names, *(format(scores[key], form) if key in scores else "" for key, form in GAIN_FORMS)]
         for names, scores in found.items()
     ]
-    return _table(("scene", "run - run", "PSNR / dB", "movers / dB", "Abs Rel"), lines)
+    table = _table(("scene", "run - run", "PSNR / dB", "movers / dB", "Abs Rel"), lines)
+    return f"{GAINS}\n\n{table}" if any(BEST in name for _, name in found) else table
 
 
 def _times(document: dict) -> str:

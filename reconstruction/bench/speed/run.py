@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from acquisition.bench_document import Stolen
+from acquisition.bench_document import OLDER, Stolen
 from reconstruction.bench.conventions import HOLDOUT
 from reconstruction.errors import BadRunError, ReconstructionError
 
-OLD, NEW = "old", "new"
+OLD, NEW = OLDER, "new"
 SCORES = ("psnr_db", "dynamic_psnr_db", "abs_rel")
 # Idle threads sleep, as where the service runs a stage: whether they spin is else up to the load at a run's start.
 SLEEPING = {"OMP_WAIT_POLICY": "passive"}

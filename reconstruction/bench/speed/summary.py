@@ -9,6 +9,8 @@ ENDS, STEPS, LOADED = "ends", "steps", "loaded"
 LEVELS = (("psnr_db", "seconds_to"), ("dynamic_psnr_db", "movers_seconds_to"))
 END_FIGURES = (*SCORES, "seconds", "steps", "peak_mb")
 LEAST_STAGE_S = 0.1  # seconds below which the ratio of a stage is left out
+BEST = f"{OLD}@best"  # name of the best old scores
+DEPTH = "abs_rel"  # the score of which less is better
 PART = "part_s."  # start of the name of the seconds of a part of a step in a row
 STAGE = "seconds."  # start of the name of a stage's seconds in a row
 
@@ -21,8 +23,8 @@ def summarise(rows: Sequence[dict]) -> dict[str, float]:
         for row in own:
             start = f"{clip}.{end_name(row)}"
             found |= {f"{start}.{name}": row[name] for name in END_FIGURES if name in row}
-        found |= _gains(clip, own) | _patience(clip, own) | _levels(clip, own) | _stages(clip, own)
-    return found | least(found) | _steps(rows) | _loaded(rows)
+        found |= _levels(clip, own) | _stages(clip, own)
+    return found | differences(rows) | _steps(rows) | _loaded(rows)
 
 
 def clips_of(rows: Iterable[dict]) -> list[str]:
@@ -48,10 +50,29 @@ def longest_pair(rows: Sequence[dict]) -> tuple[dict, dict] | None:
     return (by_end[OLD, max(both)], by_end[NEW, max(both)]) if both else None
 
 
+def differences(rows: Sequence[dict]) -> dict[str, float]:
+    """Return all differences of two ends of a clip by their names, and the least of each over the clips."""
+    found: dict[str, float] = {}
+    for clip in clips_of(rows):
+        own = ends(rows, clip)
+        found |= _gains(clip, own) | _patience(clip, own)
+    return found | least(found)
+
+
 def _gains(clip: str, rows: Sequence[dict]) -> dict[str, float]:
-    """Return how far every new run ends above the longest old one, and below it in depth: new less old."""
+    """Return how far every new run ends above old ones, and below them in depth: new less old.
+
+    These are the old run of the same budget, the longest one, and BEST: of each score the best old run, at any budget.
+    """
     old, new = ([row for row in rows if row["which"] == which] for which in (OLD, NEW))
-    return _less(clip, new, old[-1]) if old else {}
+    if not old:
+        return {}
+    found, same = _less(clip, new, old[-1]), {row["budget_s"]: row for row in old}
+    for row in new:
+        found |= _less(clip, [row], same[row["budget_s"]]) if row["budget_s"] in same else {}
+    known = {score: [row[score] for row in old if score in row] for score in SCORES}
+    best = {score: (min if score == DEPTH else max)(values) for score, values in known.items() if values}
+    return found | _less(clip, new, best, BEST)
 
 
 def _patience(clip: str, rows: Sequence[dict]) -> dict[str, float]:
@@ -60,10 +81,10 @@ def _patience(clip: str, rows: Sequence[dict]) -> dict[str, float]:
     return _less(clip, new[-1:], new[-2]) if len(new) > 1 else {}
 
 
-def _less(clip: str, rows: Sequence[dict], other: dict) -> dict[str, float]:
-    """Return the scores of runs less those of another one, by the names of both."""
+def _less(clip: str, rows: Sequence[dict], other: dict, name: str = "") -> dict[str, float]:
+    """Return the scores of runs less those of another one, by the names of both; `name` is another name of it."""
     return {
-        f"{clip}.{end_name(row)}-{end_name(other)}.{score}": row[score] - other[score]
+        f"{clip}.{end_name(row)}-{name or end_name(other)}.{score}": row[score] - other[score]
         for row in rows
         for score in SCORES
         if score in row and score in other

@@ -71,7 +71,7 @@ def made(monkeypatch):
     return calls
 
 
-def test_the_document_has_every_case_and_nothing_is_run_twice(made, tmp_path):
+def test_the_document_has_every_case_and_nothing_is_run_twice_by_one_code(made, monkeypatch, tmp_path):
     document = bench_leave_out(tmp_path, silent).to_json()
     runs = sum(4 + len(case.switches) for case in CASES) + 3  # grey beside colour, and the two of the missed mover
     assert len(made) == len(set(made)) == len(document["rows"]) == runs
@@ -86,6 +86,10 @@ def test_the_document_has_every_case_and_nothing_is_run_twice(made, tmp_path):
     again = bench_leave_out(tmp_path, silent).to_json()
     assert not made
     assert again["summary"] == summary
+    with monkeypatch.context() as mended:
+        mended.setattr(bench, "code_and_machine", lambda: {"code": "of a mend"})
+        bench_leave_out(tmp_path, silent)
+    assert len(made) == runs
     plot_leave_out(tmp_path / "a.png", document)
     assert (tmp_path / "a.png").stat().st_size > 1000
 
@@ -154,7 +158,7 @@ def test_the_plan_sees_the_card_of_faint_and_the_watch_would_too(seed):
 def test_a_dead_camera_is_skipped_by_the_plan_and_kept_where_it_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(bench, "SIZE", (100, 62))
     (dead,) = (case for case in CASES if case.dead)
-    small = PlanCase("small", "static", 1, dead.switches, ticks=64, dead=dead.dead, everything=dead.everything)
+    small = PlanCase("small", "static", 1, dead.switches, ticks=64, dead=dead.dead, otherwise=dead.otherwise)
     recording = Recording.open(recorded(small, tmp_path))
     assert not recording.stream("cam00").counts(0, 64).any()
     assert recording.stream("cam22").counts(0, 64).any()

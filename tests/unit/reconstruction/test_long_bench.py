@@ -1,6 +1,8 @@
 """The bench of long recordings: what it makes of its rows, its page and picture, its parts, and that it resumes."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,13 +12,15 @@ from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
 from reconstruction.bench.long import bench as long_bench
+from reconstruction.bench.long import spans as long_spans
 from reconstruction.bench.long.bench import ALONE, BASELINE, SPAN, WHOLE, LongBench, LongClip, summarise
 from reconstruction.bench.long.page import page, plot_long
 from reconstruction.bench.long.part import cut_out
 from reconstruction.bench.speed.run import NEW, Contender
 from reconstruction.errors import ReconstructionError
+from reconstruction.evaluation.evaluate import INSTANTS
 from reconstruction.run.spans import Span
-from reconstruction.truth import Truth
+from reconstruction.truth import Truth, spread
 from rigs.toml import catalog_rig
 
 CONTENDER = Contender(NEW, ("spike4dgs",), Path("python"))
@@ -28,6 +32,7 @@ SPANS = [
 
 def end(psnr_db: float, **more: object) -> dict:
     row = {"seconds": 50.0, "wall_s": 60.0, "peak_mb": 500.0, "stored_bytes": 4_000_000, "steps": 900, "stolen": 0.0}
+    row |= {"gaussians": 48_000}
     return row | {"psnr_db": psnr_db, "dynamic_psnr_db": 32.5, "abs_rel": 0.01, "revision": "abc"} | more
 
 
@@ -96,6 +101,28 @@ def test_a_clip_without_parts_or_spans_says_nothing():
     )
 
 
+def test_a_span_is_scored_on_the_instants_of_the_part_alone(monkeypatch):
+    """Ends are the worst, so that fewer instants give them more weight."""
+    seen = []
+
+    def score_at(cloud, held_out, truth, planes):
+        seen.append(planes)
+        return {"psnr_db": 40.0, "ssim": 0.9}
+
+    monkeypatch.setattr(long_spans, "score_at", score_at)
+    known = SimpleNamespace(planes=lambda camera_id: list(range(0, 1200, 20)))
+    run = SimpleNamespace(plan=SimpleNamespace(spans=[Span(400 * i, 400 * i + 400) for i in range(3)]))
+    held_out = SimpleNamespace(camera=SimpleNamespace(id="cam11"))
+    trained: Any = SimpleNamespace(cloud=None, held_out=held_out, truth=known, run=run)
+    found = long_spans.scored_spans(trained, SPANS)
+    alone = spread(list(range(0, 400, 20)), INSTANTS)
+    assert seen == [[plane + 400 * i for plane in alone] for i in range(3)]
+    ends = {key: SPANS[1][key] for key in ("first_tick", "last_tick", "seconds")}
+    assert found[1] == ends | {"psnr_db": 40.0, "instants": INSTANTS}
+    trained.truth = None
+    assert long_spans.scored_spans(trained, SPANS) == SPANS
+
+
 def test_what_fails_or_has_no_time_is_an_omission(bench, monkeypatch):
     def fails(*_: object, **__: object) -> dict:
         raise ReconstructionError("found exit code 1")
@@ -111,8 +138,11 @@ def test_page_and_picture_have_every_run(bench, tmp_path):
     document = bench[0].run().to_json()
     text = page(document)
     said = ["## carried_boxes-1200", "| in spans | 1,200 |", "| part 2 alone | 400 |", "| `stg` in one piece | 1,200 |"]
+    said += ["| Gaussians |", "| 48,000 |", "fewer Gaussians", "on 4 instants"]
     for words in (*said, "| seconds a plane, over"):
         assert words in text
+    alike = [row | {"instants": 8} for row in document["rows"]]
+    assert "as many instants as the part alone" in page(document | {"rows": alike})
     plot_long(tmp_path / "long.png", document)
     assert (tmp_path / "long.png").read_bytes().startswith(b"\x89PNG")
     plot_long(tmp_path / "none.png", document | {"rows": []})

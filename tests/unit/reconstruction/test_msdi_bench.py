@@ -5,11 +5,16 @@ from typing import ClassVar
 
 import pytest
 
+from acquisition.bench_document import device
 from acquisition.progress import silent
+from acquisition.revision import code_revision
 from reconstruction.bench import msdi
 from reconstruction.bench.msdi import ARMS, SCORES, SHIPPED_ARM, bench_msdi, write_page
+from reconstruction.metrics.poses import pose_errors
 from reconstruction.networks.training import msdi_validation
 from reconstruction.networks.training.clips import MultiviewClips
+from reconstruction.networks.training.msdi_validation import RANDOM_ERROR, ScoredViews
+from rigs.toml import catalog_rig
 
 SMALL = MultiviewClips(910_007, 1, 3, 56, 40)
 
@@ -38,22 +43,49 @@ def test_every_arm_is_trained_once_and_scored_beside_what_ships(work, tmp_path, 
     assert bench_msdi([], work, silent, quick=True).to_json()["rows"] == document.to_json()["rows"]
 
 
-def test_arms_differ_in_what_they_are_called_after_and_in_nothing_else(work, monkeypatch):
-    configs = []
+def test_recordings_start_from_a_misplaced_rig_as_random_clips_do():
+    rig, clip = catalog_rig("ci3x3"), SMALL.make(SMALL.first_seed)
+    known = {part: ScoredViews(part, "some", clip, rig) for part in ("random", "development")}
+    found = {part: msdi.misplaced_views(one, 5).nominal for part, one in known.items()}
+    assert found["random"] is rig
+    off = pose_errors(found["development"], rig, 1.0)
+    assert 0.5 * RANDOM_ERROR < off.rotation_deg < 2 * RANDOM_ERROR
+    assert abs(off.focal_percent - RANDOM_ERROR) < 0.1
+    assert msdi.misplaced_views(known["development"], 6).nominal != found["development"]
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """The folders and configurations of the trainings that are asked for, none of which is done."""
+    asked = []
 
     class Told:
         curve: ClassVar = [{"step": 2, "seconds": 1.0, **{f"clutter {score}": 1.0 for score in SCORES}}]
 
         def __init__(self, folder, config, clips, device, notes):
-            configs.append(config)
+            asked.append((folder.name, config))
 
         def run(self, score, progress):
             pass
 
     monkeypatch.setattr(msdi, "MsdiTraining", Told)
+    return asked
+
+
+def test_arms_differ_in_what_they_are_called_after_and_in_nothing_else(work, told):
     bench_msdi([], work, silent, quick=True)
+    configs = [config for _, config in told]
     assert [(config.joint, config.pretrained) for config in configs] == [(True, True), (False, True), (True, False)]
     assert len({replace(config, joint=True, pretrained=True) for config in configs}) == 1
+
+
+def test_other_networks_are_trained_anew_and_rows_tell_their_code(work, told, monkeypatch):
+    for code in ("one", "one", "two"):
+        monkeypatch.setattr(msdi, "networks_code", lambda: code)  # noqa: B023 - called within its turn
+        document = bench_msdi([], work, silent, quick=True)
+    assert [name.rpartition("-")[2] for name, _ in told] == ["one"] * len(ARMS) + ["two"] * len(ARMS)
+    about = device() | {"revision": code_revision()}
+    assert all(row.items() >= about.items() for row in document.rows if row["arm"] != SHIPPED_ARM)
 
 
 def test_without_time_the_table_is_not_printed(work, tmp_path):

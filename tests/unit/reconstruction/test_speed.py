@@ -71,7 +71,7 @@ DOCUMENT = {
 }
 
 
-def test_gains_are_of_every_new_end_over_the_longest_old_one():
+def test_gains_are_of_every_new_end_over_the_longest_old_one_that_of_its_budget_and_the_best():
     found = summarise(ROWS)
     assert found["a.old@60.psnr_db"] == 31.2
     assert found["a.new@20.dynamic_psnr_db"] == 26.5
@@ -81,7 +81,15 @@ def test_gains_are_of_every_new_end_over_the_longest_old_one():
     assert found["a.new@60-old@60.psnr_db"] == pytest.approx(1.8)
     assert found["least.new@20-old@60.psnr_db"] == pytest.approx(-0.5)  # of b
     assert found["least.new@20-old@60.dynamic_psnr_db"] == pytest.approx(-0.5)  # of a
-    assert not any("-old@20" in key or key.startswith("b.new@60") for key in found)
+    assert not any(key.startswith("b.new@60") for key in found)
+    assert found["a.new@20-old@20.psnr_db"] == pytest.approx(3.3)
+    longer = [
+        row | ({"psnr_db": 28.0} if row.get("which") == OLD and row.get("budget_s") == 60 else {}) for row in ROWS
+    ]
+    worse = summarise(longer)  # a longer old run that ends worse
+    assert worse["a.new@20-old@best.psnr_db"] == pytest.approx(3.3)
+    assert worse["a.new@20-old@best.dynamic_psnr_db"] == pytest.approx(-0.5)  # movers are best after 60
+    assert worse["a.new@20-old@best.abs_rel"] == pytest.approx(0.002)
 
 
 def test_a_level_is_reached_at_the_least_budget_whose_end_has_it():
@@ -145,6 +153,8 @@ def test_the_page_has_every_table_and_names_both_revisions(tmp_path):
     assert "revision NEW against OLD, a processor" in text
     assert "| a | new@20 | 31.70 | 26.50 | 0.0120 | 20.5 | 100 | 48,000 | 500 | 0.000 |" in text
     assert "| least | new@20 - old@60 | -0.50 | -0.50 |  |" in text
+    assert "| a | new@20 - old@20 | +3.30 |" in text
+    assert "| least | new@60 - old@best | +1.80 |" in text
     assert "| a | whole | 29 to 31 | 60 | 20 |\n| a | whole | 32 to 33 | - | 60 |" in text
     assert "| a | whole | 28 | 20 | 20 |" in text
     assert "| a | 60 | points | 8.00 | 4.00 | 2.00 |" in text

@@ -23,11 +23,19 @@ def found_by(laboratory, level):
 
 def test_every_base_has_every_weight_at_equal_steps_and_equal_time():
     cells = spss_protocol().cells()
-    assert len(cells) == len(SCENES) * len(EFFORTS) * len(BASES) * (1 + len(WEIGHTS))
+    kept = [cell for cell in cells if not cell.method.name.endswith("+spss-alone")]
+    assert len(kept) == len(SCENES) * len(EFFORTS) * len(BASES) * (1 + len(WEIGHTS))
     assert {effort.budget_s is None for effort in EFFORTS} == {True, False}
     config = weighted(BASES[0], 0.1).config(Effort(60.0), 1)
     assert (config.supervision, config.spike_weight) == ("variation", 0.1)
     assert BASES[0].config(Effort(60.0), 1).spike_weight is None
+
+
+def test_the_loss_alone_has_no_weight_and_equal_steps():
+    cells = [cell for cell in spss_protocol().cells() if cell.method.name.endswith("+spss-alone")]
+    assert len(cells) == len(SCENES) * len(BASES)
+    configs = [cell.method.config(cell.effort, cell.seed) for cell in cells]
+    assert {(one.supervision, one.spike_weight, one.steps) for one in configs} == {("variation", None, 1000)}
 
 
 def test_gains_are_over_the_scenes_that_both_rows_have(tmp_path, told_laboratory):
@@ -37,6 +45,8 @@ def test_gains_are_over_the_scenes_that_both_rows_have(tmp_path, told_laboratory
     assert document.summary["auto+spss@0.1.gain.psnr_db@60"] == pytest.approx(0.5)
     assert document.summary["auto+spss@0.1.scenes@60"] == len(SCENES) - 1
     assert "auto.gain.psnr_db@60" not in document.summary
+    assert document.summary["auto+spss-alone.gain.psnr_db@1000steps"] == pytest.approx(1 / 3)
+    assert "auto+spss-alone.psnr_db@60" not in document.summary
     about = {"revision": "abc", "device": {"processor": "p", "threads": 2}}
     document.omissions = [line.replace(NOT_RUN, "refused") for line in document.omissions]
     write_page(tmp_path / "spss.md", asdict(document) | about)
