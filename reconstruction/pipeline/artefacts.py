@@ -166,9 +166,10 @@ def posed(run: RunFolder, recording: Recording, *, refined: bool = False) -> Rec
 
 
 def with_cameras(recording: Recording, rig: Rig) -> Recording:
-    """Return the recording with the cameras of `rig` in place of its own; calibrations of pixels stay."""
+    """Return the recording with the cameras of `rig` in place of its own; its ticks and calibrations of pixels stay."""
     pixels = {camera.id: camera.pixels for camera in recording.rig.cameras}
-    return replace(recording, rig=replace(rig, cameras=tuple(replace(c, pixels=pixels[c.id]) for c in rig.cameras)))
+    cameras = tuple(replace(c, pixels=pixels[c.id]) for c in rig.cameras)
+    return replace(recording, rig=replace(rig, cameras=cameras, first_tick=recording.rig.first_tick))
 
 
 def write_rig(path: Path, rig: Rig) -> None:

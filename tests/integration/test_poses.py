@@ -18,14 +18,14 @@ from reconstruction.errors import BadRunError, GeometryError
 from reconstruction.evaluation.evaluate import held_out_camera
 from reconstruction.initialization.initialisers import INITIALISERS, InitOptions
 from reconstruction.metrics.poses import pose_errors
-from reconstruction.pipeline.artefacts import posed
+from reconstruction.pipeline.artefacts import posed, with_cameras, write_rig
 from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.stages import reconstruct
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.truth import Truth
 from rigs.rig import object_distance_m
 from rigs.similarity import Similarity
-from rigs.toml import catalog_rig
+from rigs.toml import catalog_rig, load_rig
 from server.cli.main import main
 
 pytestmark = pytest.mark.slow
@@ -58,6 +58,16 @@ def true_rig(path):
     found = Truth.open(recording.truth).cameras(recording.tick_rate_hz)
     assert found is not None
     return found.only(recording.camera_ids)
+
+
+def test_a_part_with_found_cameras_keeps_its_ticks(small, tmp_path):
+    part = Recording.open(small).part(24, 64)
+    write_rig(tmp_path / "found.toml", part.rig)
+    found = with_cameras(part, load_rig(tmp_path / "found.toml"))
+    assert found.ticks == range(24, 64)
+    assert found.rig.clock.instant_s(0) == part.rig.clock.instant_s(0)
+    same = [one.stream("cam11").planes(0, 40) for one in (found, part)]
+    np.testing.assert_array_equal(*same)
 
 
 def off(found, true):
