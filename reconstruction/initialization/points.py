@@ -61,6 +61,7 @@ class Seeds:
     """The start of every method: points of the still scene, and of movers swept at `instants` moments of `clip`.
 
     `cameras` are those that train. `bodies` reads the rigid bodies of the moving points. `seed` is that of all draws.
+    The last `resting` of the moving points stand there all the time.
     """
 
     still: Points
@@ -70,6 +71,7 @@ class Seeds:
     seed: int
     cameras: Sequence[Camera]
     bodies: Callable[[], Bodies]
+    resting: int = 0
 
 
 def sample_points(

@@ -1,5 +1,6 @@
 """The Gaussians that training starts from, one for each point of a sweep."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -33,8 +34,10 @@ LARGEST_M = 0.25  # largest size in m, so that a lone point does not cover every
 
 def seed_cloud(seeds: Seeds, *, cubic: bool = False) -> DynamicCloud:
     """Return Gaussians at rest that live around their own instants; `cubic` ones can bend their paths."""
-    instants = _fractions(seeds.moving, seeds.clip)
-    return _cloud(seeds, PolynomialMotion.at_rest(instants, LIFE / seeds.instants, cubic=cubic))
+    motion = PolynomialMotion.at_rest(_fractions(seeds.moving, seeds.clip), LIFE / seeds.instants, cubic=cubic)
+    always = slice(len(seeds.moving) - seeds.resting, None)
+    motion.instants[always], motion.log_durations[always] = 0.5, math.log(LONG_LIFE)
+    return _cloud(seeds, motion)
 
 
 def seed_spacetime(seeds: Seeds) -> DynamicCloud:

@@ -61,7 +61,9 @@ def learn_still(run: RunFolder, recording: Recording, done: Done, on_step: OnSte
     trainer = Trainer(cloud, views, settings, recording.rig.clock, run.config.seed)
     train(trainer, lambda: done(trainer.steps), lambda share, loss: on_step(trainer, share, loss))
     trainer.settle()
-    return GaussianCloud(**{name: tensor.detach() for name, tensor in vars(cloud.still).items()})
+    learnt = trainer.cloud
+    assert isinstance(learnt, DynamicCloud)
+    return GaussianCloud(**{name: tensor.detach() for name, tensor in vars(learnt.still).items()})
 
 
 def _still_views(run: RunFolder, recording: Recording) -> list[TrainingView]:
@@ -96,8 +98,10 @@ def learn_span(
     trainer = Trainer(cloud, views, settings, RigClock(clock.tick_rate_hz), run.config.seed + number)
     train(trainer, lambda: done(trainer.steps), lambda share, loss: on_step(trainer, share, loss))
     trainer.settle()
-    cloud.clip = TimeSpan.of_planes(clock, grown.first, grown.last)
-    return SpanContent.of(own, changed, cloud)
+    learnt = trainer.cloud  # another one than it began with, where parts were joined into bodies
+    assert isinstance(learnt, SpanCloud)
+    learnt.clip = TimeSpan.of_planes(clock, grown.first, grown.last)
+    return SpanContent.of(own, changed, learnt)
 
 
 def _looked_at_again(run: RunFolder, seen: Mapping[str, SpanView]) -> list[SpanView]:
@@ -135,7 +139,7 @@ def _started(
 
     views = [(one.camera, one.source) for one in seen]
     points = Points.joined([moving, resting])
-    seeds = Seeds(Points.none(), points, clip, run.plan.sweeps, run.config.seed, cameras, bodies)
+    seeds = Seeds(Points.none(), points, clip, run.plan.sweeps, run.config.seed, cameras, bodies, len(resting))
     begun = METHODS[run.plan.model].start(seeds)
     assert isinstance(begun, DynamicCloud)
     near = unsettled(still.means, cameras, {i: one.shown for i, one in enumerate(seen)})

@@ -1,5 +1,6 @@
 """A recording in spans from end to end, at 100x64: scored by span, killed between and within its parts, exported."""
 
+import copy
 import json
 import shutil
 import time
@@ -28,6 +29,7 @@ from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.folder import RunFolder
 from reconstruction.run.parts import STILL, Failure, PartFolder, span_name
 from reconstruction.tensors import packed
+from reconstruction.training.averaging import Averages
 from reconstruction.training.checkpoint import load_checkpoint, load_cloud
 
 pytestmark = pytest.mark.slow
@@ -77,6 +79,24 @@ def test_a_span_that_is_learnt_leaves_no_images_in_memory(long_recording, begun,
         reconstruct_part(long_recording, tmp_path / "run", CONFIG, part, silent)
     assert len(seen) == 8
     assert not [ref for ref in seen if ref() is not None]
+
+
+def test_a_span_keeps_what_its_training_ends_with(run, long_recording, monkeypatch):
+    """Bodies that are joined are another cloud than the one that began."""
+    ends, train = [], span_training.train
+
+    def joining(trainer, done, on_step):
+        train(trainer, done, on_step)
+        trainer.cloud, trainer.averages = copy.deepcopy(trainer.cloud), Averages()
+        trainer.cloud.moving.means.data += 1.0
+        ends.append(trainer.cloud.moving.means)
+
+    monkeypatch.setattr(span_training, "train", joining)
+    still = load_cloud(run.checkpoint).still
+    recording = Recording.open(long_recording)
+    content = span_training.learn_span(run, recording, 1, still, lambda steps: steps / 2, lambda *_: None)
+    assert content.cloud is not None
+    assert torch.equal(content.cloud.moving.means, ends[0])
 
 
 def test_every_span_is_scored_and_the_whole_beats_the_nearest_view(run):

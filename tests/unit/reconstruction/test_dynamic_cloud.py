@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -36,6 +37,15 @@ def test_a_moving_gaussian_is_where_its_velocity_takes_it_and_fades_with_its_gat
     duration = LIFE / 8
     expected = math.exp(-0.5 * (0.125 / duration) ** 2)
     assert torch.allclose(later.opacities[3:] / at_birth.opacities[3:], torch.full((2,), expected), rtol=1e-4)
+
+
+@pytest.mark.parametrize("cubic", [False, True])
+def test_what_rests_among_movers_is_there_all_the_time(cubic):
+    cloud = seed_cloud(replace(seeds(points(1), points(3, instant_s=0.0), 8), resting=2), cubic=cubic)
+    first, last = (cloud.at(t).opacities[1:] for t in (0.0, 0.02))
+    assert (first > 0.5).all()
+    assert (last[1:] > 0.5).all()
+    assert last[0] < 1e-6
 
 
 def test_still_gaussians_do_not_depend_on_time():
