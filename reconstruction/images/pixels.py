@@ -22,6 +22,8 @@ from reconstruction.images.mending import mended
 
 LEAST_SPIKES = 200  # a pixel, of the light alone: its gain to 0.2 %
 BRIGHTEST = 0.95  # spikes per tick; pixels fire at most once a tick
+SATURATED, MOST_SATURATED = 0.99, 0.001  # spikes per tick, and the most pixels, as a share, that may reach it
+DIM_IT = "pixels saturate; dim the light"
 HOT_ABOVE, HOT_SPREADS = 0.02, 8.0  # spikes per tick, or robust standard deviations, above the median in the dark
 DEAD_BELOW = 0.2  # light of a dead pixel, as a share of the median
 _NO_ARCHIVE = (ValueError, KeyError, TypeError, AttributeError, EOFError, NotImplementedError, BadZipFile, zlib.error)
@@ -72,9 +74,12 @@ def estimate_pixels(flat: SpikeStream, dark: SpikeStream) -> PixelCalibration:
         raise BadRecordingError(found, f"at least {LEAST_SPIKES}", "give it more light or record longer")
     if (brightest := float(np.median(lit))) > BRIGHTEST:
         found = f"found {brightest:.2f} spikes per tick in the flat"
-        raise BadRecordingError(found, f"at most {BRIGHTEST}", "pixels saturate; dim the light")
+        raise BadRecordingError(found, f"at most {BRIGHTEST}", DIM_IT)
     spread = 1.4826 * float(np.median(np.abs(unlit - np.median(unlit))))
     hot = unlit > np.median(unlit) + max(HOT_ABOVE, HOT_SPREADS * spread)
+    if (share := float((lit[~hot] > SATURATED).mean())) > MOST_SATURATED:
+        found = f"found {share:.1%} of the pixels firing in nearly every tick of the flat"
+        raise BadRecordingError(found, f"at most {MOST_SATURATED:.1%}", DIM_IT)
     dead = ~hot & (light < DEAD_BELOW * np.median(light))
     good = ~(hot | dead)
     gain = np.where(good, light / light[good].mean(), 1.0)

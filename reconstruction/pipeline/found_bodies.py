@@ -7,6 +7,7 @@ from reconstruction.initialization.bodies import Bodies
 from reconstruction.initialization.choosing import WHOLE_S, choose_bodies, ways_within
 from reconstruction.initialization.judging import judge
 from reconstruction.initialization.points import Points, Seeds
+from reconstruction.methods.catalogue import METHODS
 from reconstruction.pipeline import artefacts
 from reconstruction.run.decisions import Decision
 from reconstruction.run.document import BodyCounts
@@ -17,7 +18,7 @@ from reconstruction.scene_model import TimeSpan
 def keep_bodies(run: RunFolder, recording: Recording, moving: Points, planes: Sequence[int]) -> Bodies:
     """Find and keep the bodies among points of movers at `planes`; where none explains the counts, movers go straight.
 
-    The plan is amended only where its motion was left open.
+    The plan is amended only where its motion was left open. Straight paths want more sweeps than bodies (184).
     """
     views, clock = list(artefacts.read_views(run, recording).values()), recording.rig.clock
     clip, still = TimeSpan.of_planes(clock, 0, recording.planes), artefacts.read(run, artefacts.STILL, Points)
@@ -36,5 +37,10 @@ def keep_bodies(run: RunFolder, recording: Recording, moving: Points, planes: Se
             f"with {ratio:.3f} of the error of points at rest"
         )
         facts = {"rigid_bodies": len(bodies), "found_bodies": found, "error_ratio": ratio, "ways": len(ways)}
-        run.amend("points", Decision("motion", model, reason, "--model", facts=facts), model=model)
+        run.amend(
+            "points",
+            Decision("motion", model, reason, "--model", facts=facts),
+            model=model,
+            sweeps=METHODS[model].sweeps,
+        )
     return bodies

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from acquisition.progress import Progress
+from acquisition.recording.manifest import CameraFile
 from acquisition.recording.reader import Recording
 from reconstruction.errors import BadRunError
 from reconstruction.pipeline.artefacts import LIGHT, MOVING
@@ -37,16 +38,33 @@ def plan_stage(run: RunFolder, recording: Recording, progress: Progress) -> None
         )
         plan = replace(plan, decisions=(said, *plan.decisions))
     run.document.planned, run.document.amendments = plan, []
-    _warn_of_ends(run, recording)
+    said = filter(None, (_cut_off(run, recording), _lost(run, recording)))
+    if warning := "; ".join(said):
+        run.document.warnings["plan"] = warning
     progress(1.0, "\n".join(map(str, plan.decisions)))
 
 
-def _warn_of_ends(run: RunFolder, recording: Recording) -> None:
-    """Warn in the run where a camera that was cut off before others ends what is reconstructed."""
-    entries = [entry for entry in recording.manifest.cameras if entry.id in (*run.plan.views, run.config.holdout)]
-    first, last = (choose(entries, key=lambda entry: entry.planes) for choose in (min, max))
-    if recording.ticks.stop == first.first_tick + first.planes < last.first_tick + last.planes:
-        run.document.warnings["plan"] = (
-            f"{first.id} ends at tick {recording.ticks.stop - 1}, where others go on to tick "
-            f"{last.first_tick + last.planes - 1}: name the others by --views, or the rest is not reconstructed"
-        )
+def _cut_off(run: RunFolder, recording: Recording) -> str:
+    """Return what to say where a camera that was cut off before others ends what is reconstructed, or nothing."""
+    first, last = (choose(_read(run, recording), key=lambda entry: entry.planes) for choose in (min, max))
+    if not recording.ticks.stop == first.first_tick + first.planes < last.first_tick + last.planes:
+        return ""
+    return (
+        f"{first.id} ends at tick {recording.ticks.stop - 1}, where others go on to tick "
+        f"{last.first_tick + last.planes - 1}: name the others by --views, or the rest is not reconstructed"
+    )
+
+
+def _lost(run: RunFolder, recording: Recording) -> str:
+    """Return what to say where planes of a camera were lost, or nothing: they are zeros, and count as darkness."""
+    lost = {entry.id: entry.lost_within(recording.ticks) for entry in _read(run, recording)}
+    named = ", ".join(f"{planes} of {camera}" for camera, planes in lost.items() if planes)
+    if not named:
+        return ""
+    do = "leave such a camera out by --views, or such ticks by --from-tick and --to-tick"
+    return f"planes were lost, {named}, and count as darkness: {do}"
+
+
+def _read(run: RunFolder, recording: Recording) -> list[CameraFile]:
+    """Return the entries of the cameras that the run trains on or scores by."""
+    return [entry for entry in recording.manifest.cameras if entry.id in (*run.plan.views, run.config.holdout)]

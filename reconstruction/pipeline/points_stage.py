@@ -41,9 +41,7 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
     plan, views = run.plan, artefacts.read_views(run, recording, gained=False)
     rng = np.random.default_rng(run.config.seed)
     others = other_points(run, rng)
-    planes = moving_planes(recording.planes, plan.model, plan.sweeps)
-    swept = planes if plan.moving_gaussians and not plan.spans else []
-    rounds = 1 + len(swept)
+    rounds = 1 + len(_swept(run, recording))
     if others:
         leave_unswept(run, views)
         still = others.still(views, plan.still_gaussians)
@@ -52,20 +50,32 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
         still = _still_points(run, views, rng, lambda message: progress(1 / rounds, message))
     artefacts.write(run, artefacts.STILL, still)
     views = artefacts.read_views(run, recording)
-    parts = []
-    count = plan.moving_gaussians // max(len(swept), 1)
-    for i, plane in enumerate(swept):
-        at = plane, recording.rig.clock.instant_s(plane)
-        own = others.movers(views, at, count) if others else None
-        parts.append(moving_points(*parted(views), at, count, rng) if own is None else own)
-        progress((i + 2) / rounds, f"movers at plane {plane}: {len(parts[-1])} points")
-    moving = Points.joined(parts)
-    artefacts.write(run, artefacts.MOVERS, moving)
+
+    def moving() -> Points:
+        swept, parts = _swept(run, recording), []
+        count = plan.moving_gaussians // max(len(swept), 1)
+        for i, plane in enumerate(swept):
+            at = plane, recording.rig.clock.instant_s(plane)
+            own = others.movers(views, at, count) if others else None
+            parts.append(moving_points(*parted(views), at, count, rng) if own is None else own)
+            progress((i + 2) / (1 + len(swept)), f"movers at plane {plane}: {len(parts[-1])} points")
+        return Points.joined(parts)
+
+    found = moving()
     if plan.model == "bases" and not plan.spans:
         from reconstruction.pipeline.found_bodies import keep_bodies  # torch, which no other model needs here
 
-        bodies = keep_bodies(run, recording, moving, planes)
+        bodies = keep_bodies(run, recording, found, moving_planes(recording.planes, plan.model, plan.sweeps))
         progress(1.0, f"{len(bodies)} rigid bodies with {bodies.attached} points; free: {bodies.free}")
+    artefacts.write(run, artefacts.MOVERS, found if run.plan.sweeps == plan.sweeps else moving())
+
+
+def _swept(run: RunFolder, recording: Recording) -> list[int]:
+    """Return the planes at which the movers of a recording in one piece are swept now, as the plan has become."""
+    plan = run.plan
+    if not plan.moving_gaussians or plan.spans:
+        return []
+    return moving_planes(recording.planes, plan.model, plan.sweeps)
 
 
 def moving_planes(planes: int, model: str, instants: int) -> list[int]:

@@ -90,7 +90,7 @@ class Amendment:
 
     stage: str
     decision: Decision
-    changes: Mapping[str, str | bool] = field(default_factory=dict)
+    changes: Mapping[str, str | bool | int] = field(default_factory=dict)
 
     @classmethod
     def from_json(cls, document: dict) -> Amendment:

@@ -84,7 +84,7 @@ class RunFolder:
             raise BadRunError("found no plan", "the plan stage to have run first", where=self.path)
         return plan
 
-    def amend(self, stage: str, decision: Decision, **changes: str | bool) -> None:
+    def amend(self, stage: str, decision: Decision, **changes: str | bool | int) -> None:
         """Add a decision of a later stage to the plan, with what it changes; an older one about the same gives way."""
         others = [a for a in self.document.amendments if a.decision.about != decision.about]
         self.document.amendments = [*others, Amendment(stage, decision, changes)]

@@ -12,13 +12,17 @@ import torch
 from click.testing import CliRunner
 
 from acquisition.devices.open import Simulation
+from acquisition.durable import write_durably
 from acquisition.progress import silent
 from acquisition.recording.importing import ImportOptions, import_recording
-from acquisition.recording.reader import Recording
+from acquisition.recording.manifest import MANIFEST_FILE, Gap, dump_manifest
+from acquisition.recording.reader import Recording, read_manifest
 from acquisition.session.record import simulate
 from reconstruction.errors import BadRunError, StereoError
 from reconstruction.export.catalogue import export_scene
 from reconstruction.export.scene import Choices
+from reconstruction.initialization.points import Points
+from reconstruction.pipeline import artefacts, found_bodies
 from reconstruction.pipeline.artefacts import read_white, recording_of
 from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.stages import reconstruct
@@ -94,6 +98,22 @@ def test_the_training_has_shown_what_it_learnt(run):
     seen = cloud.look(recording.rig.camera(CONFIG.holdout), cloud.clip.middle_s).intensity
     shown = cv2.imread(str(run.path / "preview.png"), cv2.IMREAD_GRAYSCALE)
     assert np.abs(shown.astype(int) - grey(seen, read_white(run))).max() <= 1
+
+
+def test_movers_that_ride_on_nothing_are_swept_as_often_as_straight_paths_want(recording, tmp_path, monkeypatch):
+    choose = found_bodies.choose_bodies
+
+    def none_of(*given):
+        found = choose(*given)
+        return found._replace(bodies=found.bodies.only(np.zeros(0, np.int64)))
+
+    monkeypatch.setattr(found_bodies, "choose_bodies", none_of)
+    run = reconstruct(recording, tmp_path / "run", CONFIG, quiet, last="points")
+    assert (run.document.planned.sweeps, run.plan.model, run.plan.sweeps) == (4, "linear", 8)
+    moving = artefacts.read(run, artefacts.MOVERS, Points)
+    assert len(np.unique(moving.instants_s)) == 8
+    with pytest.raises(StoppedError):
+        reconstruct(recording, run.path, CONFIG, quiet, last="train", should_stop=lambda: True)
 
 
 def test_the_report_stands_alone(run):
@@ -260,6 +280,14 @@ def test_a_camera_that_was_cut_off_costs_the_others_nothing_where_it_is_left_out
     run = reconstruct(short, tmp_path / "views", views, quiet, last="plan")
     assert (run.plan.decisions[0].choice, run.document.warnings) == ("ticks 0 to 119", {})
     assert recording_of(run).planes == 120
+    manifest = read_manifest(short)
+    gaps = {"cam01": (Gap(40, 25, "link"),)}
+    cameras = tuple(replace(one, gaps=gaps.get(one.id, ())) for one in manifest.cameras)
+    write_durably(short / MANIFEST_FILE, dump_manifest(replace(manifest, cameras=cameras)))
+    gapped = reconstruct(short, tmp_path / "gapped", replace(views, from_tick=50), quiet, last="plan")
+    assert gapped.document.warnings["plan"].startswith("planes were lost, 15 of cam01, and count as darkness: ")
+    later = reconstruct(short, tmp_path / "later", replace(views, from_tick=65), quiet, last="plan")
+    assert later.document.warnings == {}
     all_of_them = reconstruct(short, tmp_path / "all", CONFIG, quiet, last="plan")
     assert all_of_them.plan.decisions[0].choice == "ticks 0 to 29"
     assert all_of_them.document.warnings["plan"].startswith("cam12 ends at tick 29, where others go on to tick 119: ")

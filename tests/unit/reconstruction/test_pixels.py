@@ -110,6 +110,13 @@ def test_useless_recordings_are_refused(flat, dark, message):
         estimate_pixels(flat, dark)
 
 
+def test_a_flat_that_saturates_somewhere_is_refused():
+    light = np.full((HEIGHT, WIDTH), 0.6)
+    light[: HEIGHT // 8] = 1.3
+    with pytest.raises(BadRecordingError, match=r"found 1[12]\.\d% of the pixels firing in nearly every tick"):
+        estimate_pixels(exposed(light, 1000), exposed(0.0, 1000))
+
+
 def test_a_defect_without_good_neighbours_takes_the_nearest_good_pixel():
     ones = np.ones((4, 4), np.float32)
     defect = np.ones((4, 4), bool)
