@@ -21,14 +21,19 @@ def block_means(image: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def rank_correlation(first: NDArray[np.floating], second: NDArray[np.floating]) -> float:
-    """Return Spearman's rank correlation of two arrays of one shape; NaN where either is even.
+    """Return Spearman's rank correlation of two arrays of one shape, where equal numbers share a rank.
 
-    Equal numbers are ranked in their order.
+    It is NaN where either array is even.
     """
     if min(np.ptp(first), np.ptp(second)) == 0:
         return float("nan")
-    ranks = [np.argsort(np.argsort(values, axis=None, kind="stable"), kind="stable") for values in (first, second)]
-    return float(np.asarray(np.corrcoef(np.stack(ranks)))[0, 1])
+    return float(np.asarray(np.corrcoef(np.stack([_ranks(values.ravel()) for values in (first, second)])))[0, 1])
+
+
+def _ranks(values: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the ranks of values [N] from 1; those that are equal have the mean of theirs."""
+    _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return (np.cumsum(counts) - (counts - 1) / 2)[which]
 
 
 def score_expectation(uncertainty: Uncertainty, held_out: HeldOut, truth: Truth) -> dict[str, float]:

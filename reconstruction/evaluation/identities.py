@@ -59,7 +59,7 @@ def _object_of(
     points = means[riders_of(cloud)[leg.body]].numpy().astype(np.float64)
     pixels, inside = camera.project(points)
     depths = camera.cam_from_rig.apply(points)[:, 2]
-    columns, rows = np.round(pixels[inside]).astype(int).T
+    columns, rows = pixels[inside].astype(int).T
     rows, columns = rows.clip(0, camera.height - 1), columns.clip(0, camera.width - 1)
     seen = np.abs(frame.depth[rows, columns] - depths[inside]) < DEPTH_SHARE * depths[inside]
     ids, counts = np.unique(frame.ids[rows, columns][seen], return_counts=True)

@@ -66,6 +66,11 @@ class CompositeSource:
         stride = min(stride, planes)
         return np.arange(stride // 2, planes, stride)
 
+    def exposed(self, plane: int, planes: int) -> tuple[float, int]:
+        """Return the begin and the length, in planes, of the part of the clip that an image of `planes` covers."""
+        first = max(0, plane - planes // 2)
+        return first, min(len(self.stream), plane + planes // 2 + 1) - first
+
     def _short(self, plane: int) -> NDArray[np.float32]:
         """Return the moving pixels' values at `plane`."""
         if plane not in self.kept:
@@ -150,6 +155,10 @@ class GivenSource(CompositeSource):
     def instants(self, stride: int) -> NDArray[np.int64]:
         """Return the planes that have an image, whatever the stride."""
         return np.array(sorted(self.frames), dtype=np.int64)
+
+    def exposed(self, plane: int, planes: int) -> tuple[float, int]:
+        """Return the begin and the length, in planes, of the exposure of the given image, beyond the clip too."""
+        return plane + 0.5 - self.planes / 2, self.planes
 
     def counts(self, first: int, last: int, part: Part = WHOLE) -> NDArray[np.float32]:
         """Return what the spikes' source counts."""

@@ -62,6 +62,15 @@ def inverse_depth(depth: NDArray[np.float32]) -> Tensor:
     return torch.where(known.isfinite() & (known > 0), 1 / known, 0)
 
 
+def misplaced_light(alpha: Tensor, empty: Tensor | None) -> Tensor:
+    """Return the mean of the light that solid places let through and empty ones take, of alpha [..., P] in 0 to 1.
+
+    `empty` [P]: 1 where nothing is, else 0; None where something is everywhere.
+    """
+    through = 1 - alpha
+    return (through if empty is None else torch.where(empty > 0, alpha, through)).mean()
+
+
 def picture_loss(seen: tuple[Tensor, Tensor, Tensor], target: Target, loss: PictureLoss) -> tuple[Tensor, float]:
     """Compare a render's light, depth and alpha, [H, W] each, with its target: the loss, and the mean squared error.
 

@@ -51,6 +51,7 @@ class Frustum:
         spots = np.stack([focal[0] * x[seen] / z[seen], focal[1] * y[seen] / z[seen], 1 / z[seen]])
         low, high = np.percentile(spots, (OUTLIERS, 100 - OUTLIERS), axis=1)
         parallax = focal[0] * float(np.linalg.norm(centers - middle, axis=1).max())
+        low[2] = max(low[2], (MARGIN + 2) * high[2] / MOST_LAYERS)  # what is farther is left out
         step = max(LAYER_PX / max(parallax, 1e-9), (high[2] - low[2]) / MOST_LAYERS)
         step = min(step, low[2] / (MARGIN + 2))  # the farthest layer is in front of infinity
         width, height = (int(np.ceil(high[i] - low[i])) + 2 * MARGIN + 1 for i in (0, 1))

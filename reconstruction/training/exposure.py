@@ -48,11 +48,6 @@ class Exposure:
         if self.passed_px is None and done >= FROM:
             self.passed_px = passed_px(cloud, cameras, self.planes / self.clock.tick_rate_hz)
 
-    def span(self, plane: int, planes: int) -> tuple[int, int, int]:
-        """Return the first plane and length of the image at `plane` of a clip of so many planes, and its nodes."""
-        first = max(0, plane - self.planes // 2)
-        return first, min(planes, plane + self.planes // 2 + 1) - first, self.nodes
-
 
 def mean_of(renders: Sequence[tuple[float, Rendering]]) -> Rendering:
     """Return the mean of renders at several instants, each with its weight; weights sum to 1."""

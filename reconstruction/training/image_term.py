@@ -50,13 +50,14 @@ class ImageTerm:
 
     def pair(self, cloud: DynamicCloud, view: TrainingView, plane: int) -> tuple[Rendering, Tensor]:
         """Return the render at `plane` and its target image [H, W]."""
-        span = self.exposure.span(plane, len(view.source.stream)) if self.exposure else (plane, 1, 1)
+        exposure, source = self.exposure, view.source
+        span = (*source.exposed(plane, exposure.planes), exposure.nodes) if exposure else (plane, 1, 1)
         rendered = self.over(cloud, view, view.camera, span)
         target = view.picture(plane).to(rendered.intensity.dtype)
         return (rendered, target) if view.compared is None else alike_beyond(view.compared, rendered, target)
 
-    def over(self, cloud: DynamicCloud, view: TrainingView, camera: Camera, span: tuple[int, int, int]) -> Rendering:
-        """Render the mean of a span for `camera`: its first plane, its planes, and the instants that stand for them."""
+    def over(self, cloud: DynamicCloud, view: TrainingView, camera: Camera, span: tuple[float, int, int]) -> Rendering:
+        """Render the mean of a span for `camera`: its begin and length in planes, and its number of instants."""
         first, length, nodes = span
         options = {"backend": self.backend, "dilation_px2": view.dilation(cloud.dilation_px2), "given": cloud.given}
         options |= {"only": view.compared if camera is view.camera else None}

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from reconstruction.losses.counts import robust_loss
+from reconstruction.losses.picture import misplaced_light
 from reconstruction.radiance_fields.march import STEP, march
 from reconstruction.radiance_fields.radiance_field import RadianceField
 from reconstruction.training.closeness import Closeness
@@ -61,7 +62,8 @@ class RayTerm:
         if self.closeness:
             self.closeness.see(float((light.detach() - rates).square().mean()))
         cells = torch.from_numpy(rng.integers(len(field), size=self.sampled))
-        return spikes / self.white + self.solid * (1 - alpha).mean() + self.smooth * field.variation(cells)
+        empty = None if view.empty is None else view.empty.ravel()[torch.from_numpy(pixels)]
+        return spikes / self.white + self.solid * misplaced_light(alpha, empty) + self.smooth * field.variation(cells)
 
     def _drawn(self, view: TrainingView, last: int, rng: np.random.Generator) -> NDArray[np.int64]:
         """Return the pixels [R] of random squares, of use before plane `last`; neighbours read the same cells."""

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from reconstruction.gaussians.dynamic import DynamicCloud
 from reconstruction.losses.counts import cumulative_loss
+from reconstruction.losses.picture import misplaced_light
 from reconstruction.methods.definition import SpikeSampling
 from reconstruction.training.draws import Draws
 from reconstruction.training.image_term import ImageTerm, learnt_planes
@@ -60,9 +61,10 @@ class SpikeTerm:
             spikes = self.loss(light[0], counts[0] / length, length, noise).mean()
         else:
             spikes = cumulative_loss(light, counts, length, noise)
-        alpha = torch.stack([r.alpha for r in renders])
-        alpha = alpha if known is None else alpha[:, good]
-        return spikes / self.image.white + self.image.solid * (1 - alpha).mean()
+        alpha, empty = torch.stack([r.alpha for r in renders]), part.empty(view)
+        if known is not None:
+            alpha, empty = alpha[:, good], None if empty is None else empty[good]
+        return spikes / self.image.white + self.image.solid * misplaced_light(alpha, empty)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +84,10 @@ class Part:
         """The rows and columns of the view that it covers."""
         height, width = self.camera.height, self.camera.width
         return slice(self.top, self.top + height), slice(self.left, self.left + width)
+
+    def empty(self, view: TrainingView) -> Tensor | None:
+        """Return the pixels [H, W] in which nothing is, 1 there and else 0; None where something is everywhere."""
+        return None if view.empty is None else view.empty[self.within]
 
     def noise(self, view: TrainingView) -> Tensor | None:
         """Return the deviation [H, W] of counts as a share of that of recorded pixels; None where they are these."""

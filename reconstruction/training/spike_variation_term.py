@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from reconstruction.gaussians.dynamic import DynamicCloud
+from reconstruction.losses.picture import misplaced_light
 from reconstruction.losses.spiking import spike_variation_loss
 from reconstruction.methods.definition import SpikeSampling
 from reconstruction.training.draws import Draws
@@ -46,7 +47,7 @@ class SpikeVariationTerm:
         gaps = (stride - length) / length * (charges[1:] + charges[:-1]) / 2
         spikes = spike_variation_loss(charges, torch.stack(counted)[:, good].to(charges.device), gaps)
         alpha = torch.stack([r.alpha for r in renders])
-        return spikes / length + self.image.solid * (1 - alpha).mean()
+        return spikes / length + self.image.solid * misplaced_light(alpha, part.empty(view))
 
     def _fitting(self, planes: int, windows: int) -> tuple[int, int]:
         """Return the length and the stride of windows that a clip of so many planes has room for."""

@@ -52,10 +52,16 @@ def test_without_a_look_tensors_stay_as_they_are(steps: int) -> None:
     assert torch.equal(put(averages, torch.full((3,), 7.0)), torch.full((3,), 7.0))
 
 
-def test_a_new_stage_begins_anew() -> None:
-    stages = [step % 40 / 40 for step in range(80)]
-    values = [torch.full((2,), 1.0 if step < 40 else 5.0) for step in range(80)]
-    assert torch.equal(put(seen(values, stages), torch.zeros(2)), torch.full((2,), 5.0))
+def test_a_new_stage_begins_anew_for_movers_alone() -> None:
+    averages, still, moving = Averages(), torch.randn(82, 2), torch.zeros(2)
+    for step in range(82):
+        now = torch.full((2,), 1.0 if step < 42 else 5.0)
+        tensors = [("still.means", still[step]), ("moving.means", now)]
+        averages.see([(name, value.clone().requires_grad_()) for name, value in tensors], step % 42 / 42)
+    found = torch.zeros(2)
+    averages.put_into([("still.means", found), ("moving.means", moving)])
+    assert torch.equal(moving, torch.full((2,), 5.0))
+    assert torch.allclose(found.double(), expected(still), rtol=1e-5, atol=1e-6)
 
 
 def test_what_is_not_learnt_is_not_touched() -> None:

@@ -90,13 +90,6 @@ def test_longer_ways_take_more_instants_up_to_a_limit(passed_px, nodes):
     assert exposure.nodes == nodes
 
 
-@pytest.mark.parametrize(
-    ("plane", "first", "length"), [(0, 0, 5), (2, 0, 7), (4, 0, 9), (30, 26, 9), (PLANES - 1, PLANES - 5, 5)]
-)
-def test_the_span_of_an_image_ends_with_the_clip(plane, first, length):
-    assert Exposure(9, CLOCK).span(plane, PLANES) == (first, length, 1)
-
-
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_the_mean_of_renders_and_its_gradient_are_those_of_the_weights(dtype):
     rng = np.random.default_rng(0)

@@ -12,7 +12,7 @@ import torch
 from reconstruction.errors import ReconstructionError
 from reconstruction.gaussians.hexplane import Offsets
 from reconstruction.radiance_fields.cells import seed_cells
-from reconstruction.radiance_fields.frustum import Frustum
+from reconstruction.radiance_fields.frustum import MARGIN, MOST_LAYERS, Frustum
 from reconstruction.radiance_fields.march import march, march_reference
 from reconstruction.radiance_fields.radiance_field import REACH, RadianceField, ShiftField, grid_of
 from reconstruction.scene_model import TimeSpan
@@ -159,6 +159,14 @@ def test_nodes_and_positions_are_inverse_and_rays_meet_what_they_look_at():
     row, column, layer = frustum.nodes(pixel[None])[0]
     assert (y + layer * dy, x + layer * dx) == (pytest.approx(row, abs=1e-3), pytest.approx(column, abs=1e-3))
     assert float(frustum.depths(rays, torch.tensor([layer]))) == pytest.approx(2.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("far_m", [20.0, 1e3, 1e9])
+def test_what_is_far_adds_no_layers_without_end(far_m):
+    (near, _), (far, _) = wall(2.0, 0.3), wall(far_m, 0.3)
+    frustum = Frustum.around(np.concatenate([near, far]), CAMERAS)
+    assert frustum.shape[2] <= MOST_LAYERS + 2 * MARGIN + 1
+    assert (frustum.nodes(near)[:, 2] >= 0).all()
 
 
 @pytest.mark.parametrize("view", CAMERAS, ids=lambda c: c.id)

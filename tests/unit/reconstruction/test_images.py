@@ -11,7 +11,7 @@ from acquisition.spikes.stream import SpikeStream
 from reconstruction.errors import BadRunError
 from reconstruction.images.background import background, moving_pixels
 from reconstruction.images.catalogue import method
-from reconstruction.images.composite import CompositeSource
+from reconstruction.images.composite import CompositeSource, GivenSource
 from reconstruction.images.flicker import Light
 from reconstruction.images.methods.tfi import tfi
 from reconstruction.images.methods.tfp import tfp
@@ -107,6 +107,17 @@ def test_composite_takes_the_clip_where_still_and_the_instant_where_moving():
     assert (bright[8:16, 8:16] == 1).all()
     assert np.abs(later[8:16, 8:16] - 0.5).max() <= 1 / 33
     assert (bright[:3] == 0.5).all()
+
+
+@pytest.mark.parametrize(("plane", "part"), [(0, (0, 5)), (2, (0, 7)), (4, (0, 9)), (30, (26, 9)), (399, (395, 5))])
+def test_the_exposure_of_an_image_ends_with_the_clip(plane, part):
+    assert source_of(blinking()).exposed(plane, 9) == part
+
+
+@pytest.mark.parametrize(("planes", "part"), [(1, (0, 1)), (32, (-15.5, 32)), (99, (-49, 99))])
+def test_the_exposure_of_a_given_image_does_not(planes, part):
+    source = GivenSource.of(source_of(blinking()), {0: np.zeros((24, 24), np.float32)}, planes)
+    assert source.exposed(0, planes) == part
 
 
 def test_short_images_are_kept_as_long_as_there_is_room():

@@ -61,6 +61,7 @@ def test_given_images_keep_the_counts_and_masks_of_the_view(sources):
     source = straightened(replace(recorded, response=Response.even((H, W)).times(0.5), kept={}), way)
     image = np.full(source.moving.shape, 0.25, np.float32)
     given = GivenSource.of(source, {7: image}, planes=3)
+    assert given.exposed(7, 3) == (6, 3)
     assert given.at(7) is image
     np.testing.assert_array_equal(given.counts(0, 20, np.s_[5:9, 3:20]), source.counts(0, 20, np.s_[5:9, 3:20]))
     np.testing.assert_array_equal(given.useless(20), source.useless(20))

@@ -137,11 +137,11 @@ def test_an_image_of_nine_planes_is_rendered_as_their_mean_where_a_mover_gets_fa
     truth = cloud(0.8)
     view, exposure = seen(truth), Exposure(9, CLOCK)
     exposure.look(truth, [CAMERA], FROM)
-    first, length, nodes = exposure.span(plane, PLANES)
-    assert nodes == 2
+    first, length = view.source.exposed(plane, 9)
+    assert exposure.nodes == 2
     with torch.no_grad():
         both, one = (ImageTerm(CLOCK, 0.6, exposure=e).pair(truth, view, plane)[0] for e in (exposure, None))
-        instants_s = [CLOCK.instant_s(k) for k in range(first, first + length)]
+        instants_s = [CLOCK.instant_s(k) for k in range(int(first), int(first) + length)]
         dense = torch.stack([render(truth.at(t), CAMERA).intensity for t in instants_s]).mean(dim=0)
     assert float((both.intensity - dense).abs().max()) < 0.1 * float((one.intensity - dense).abs().max())
 
@@ -224,3 +224,21 @@ def test_with_a_weight_a_step_has_the_loss_on_images_and_the_weighted_one_on_spi
     assert losses() == [2.0, 3.0, 2.0, 3.0]
     assert losses(spike_weight=0.5) == [2.0, 3.5, 2.0, 3.5]
     assert losses(spike_weight=0.0) == [2.0, 2.0, 2.0, 2.0]
+
+
+@pytest.mark.parametrize("term", ["counts", "cumulative", "variation"])
+def test_terms_on_spikes_leave_empty_places_empty(term):
+    """Ask for less opacity where nothing is, and for more elsewhere."""
+    dark = cloud()
+    for part in (dark.still, dark.moving):
+        part.intensities = torch.zeros_like(part.intensities)
+        part.opacity_logits = torch.zeros_like(part.opacity_logits).requires_grad_()
+    view, image = seen(dark), ImageTerm(CLOCK, 0.6)
+    made = SpikeVariationTerm(image) if term == "variation" else SpikeTerm(image, LOSSES[term])
+    pulls = []
+    for empty in (None, torch.zeros(HEIGHT, WIDTH), torch.ones(HEIGHT, WIDTH)):
+        dark.still.opacity_logits.grad = None
+        made(dark, replace(view, empty=empty), Draws(1, 3)).backward()
+        pulls.append(dark.still.opacity_logits.grad)
+    assert torch.equal(pulls[0], pulls[1])
+    assert pulls[0].sum() < 0 < pulls[2].sum()

@@ -268,6 +268,12 @@ def test_ranks_ignore_any_rising_function():
     assert math.isnan(rank_correlation(values, np.ones((6, 7))))
 
 
+def test_ranks_that_are_shared_agree_on_nothing():
+    values = np.random.default_rng(4).random(30)
+    assert abs(rank_correlation(np.r_[np.zeros(970), values], np.r_[values, np.zeros(970)])) < 0.05
+    assert rank_correlation(np.array([1.0, 1, 2, 3]), np.array([5.0, 6, 7, 8])) == pytest.approx(4.5 / 22.5**0.5)
+
+
 def drawn_view(weights, seed) -> SeenView:
     rng = np.random.default_rng(seed)
     terms = rng.exponential(1.0, (len(weights), 4000)) * 10.0 ** -np.arange(len(weights))[:, None]
