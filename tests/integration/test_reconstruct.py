@@ -22,7 +22,7 @@ from reconstruction.errors import BadRunError, StereoError
 from reconstruction.export.catalogue import export_scene
 from reconstruction.export.scene import Choices
 from reconstruction.initialization.points import Points
-from reconstruction.pipeline import artefacts, found_bodies
+from reconstruction.pipeline import artefacts, found_bodies, points_stage
 from reconstruction.pipeline.artefacts import read_white, recording_of
 from reconstruction.pipeline.budget import StoppedError
 from reconstruction.pipeline.stages import reconstruct
@@ -100,6 +100,18 @@ def test_the_training_has_shown_what_it_learnt(run):
     assert np.abs(shown.astype(int) - grey(seen, read_white(run))).max() <= 1
 
 
+def killed_at(function, call):
+    """Return the function, which a kill ends at that call of it."""
+    calls = iter(range(1, call + 1))
+
+    def called(*given):
+        if next(calls) == call:
+            raise KeyboardInterrupt
+        return function(*given)
+
+    return called
+
+
 def test_movers_that_ride_on_nothing_are_swept_as_often_as_straight_paths_want(recording, tmp_path, monkeypatch):
     choose = found_bodies.choose_bodies
 
@@ -112,8 +124,13 @@ def test_movers_that_ride_on_nothing_are_swept_as_often_as_straight_paths_want(r
     assert (run.document.planned.sweeps, run.plan.model, run.plan.sweeps) == (4, "linear", 8)
     moving = artefacts.read(run, artefacts.MOVERS, Points)
     assert len(np.unique(moving.instants_s)) == 8
-    with pytest.raises(StoppedError):
-        reconstruct(recording, run.path, CONFIG, quiet, last="train", should_stop=lambda: True)
+    monkeypatch.setattr(points_stage, "_swept", killed_at(points_stage._swept, 3))
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct(recording, tmp_path / "killed", CONFIG, quiet, last="points")
+    monkeypatch.undo()
+    monkeypatch.setattr(found_bodies, "choose_bodies", none_of)
+    resumed = reconstruct(recording, tmp_path / "killed", CONFIG, quiet, last="points")
+    np.testing.assert_array_equal(artefacts.read(resumed, artefacts.MOVERS, Points).positions, moving.positions)
 
 
 def test_the_report_stands_alone(run):
