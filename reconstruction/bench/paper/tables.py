@@ -191,12 +191,14 @@ def _head(document: dict) -> str:
 
 
 def _disturbed(rows: Sequence[dict]) -> str:
-    """Tell what other guests of the machine took from the runs that say so."""
+    """Tell what other guests of the machine took from the runs that say so, and how fast it was beside them."""
     shares = [row["stolen"] for row in rows if "stolen" in row]
     if not shares:
         return ""
     took = f"{np.median(shares):.0%} of the processors' time in the median and {max(shares):.0%} in the worst"
-    return f" Of {len(shares)} runs of {len(rows)} it is known what other guests of the machine took: {took}."
+    paces = [row["step_ms"] for row in rows if "step_ms" in row]
+    pace = f" Beside {len(paces)} of them a fixed step took {min(paces):.0f} to {max(paces):.0f} ms." if paces else ""
+    return f" Of {len(shares)} runs of {len(rows)} it is known what other guests of the machine took: {took}.{pace}"
 
 
 def _scene_table(rows: Sequence[dict]) -> str:

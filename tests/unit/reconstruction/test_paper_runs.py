@@ -46,7 +46,7 @@ def laboratory(tmp_path, monkeypatch):
     monkeypatch.setattr(runs.Recording, "open", lambda path: path)
     monkeypatch.setattr(runs, "Stolen", lambda: SimpleNamespace(share=lambda: 0.0))  # whatever else this machine does
     found = Laboratory(tmp_path / "work", lambda scene, seed: tmp_path / f"{scene}-{seed}", lambda name: silent)
-    found.warm = True
+    found.warm, found.pace = True, lambda: 10.0
     return SimpleNamespace(own=found, made=made, recording=recording)
 
 
@@ -112,6 +112,25 @@ def test_a_run_that_others_disturbed_is_run_again_and_the_quieter_counts(laborat
     (folder,) = (laboratory.own.work / "cells" / "fan_and_ball-2-good-10").iterdir()
     assert json.loads((folder / SCORES).read_text()) == found
     assert (folder / "run.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("paces", "made"), [([10, 10, 13, 13, 10, 10], 3), ([10, 10, 12, 12], 2), ([10, 10, 13, 13, 14, 14], 3)]
+)
+def test_a_run_on_a_machine_that_had_become_slower_is_run_again(laboratory, paces, made):
+    took = iter(paces)
+    laboratory.own.pace = lambda: next(took)
+    rows = [laboratory.own.result(Cell(GOOD, "fan_and_ball", 2, Effort(seconds))) for seconds in (10.0, 11.0)]
+    assert [row["step_ms"] for row in rows] == [10, min(paces[3], paces[-1])]
+    assert len(laboratory.made) == made
+
+
+def test_a_run_of_steps_is_not_run_again_for_a_slower_machine(laboratory):
+    took = iter([10, 10, 99, 99])
+    laboratory.own.pace = lambda: next(took)
+    rows = [laboratory.own.result(Cell(GOOD, "fan_and_ball", 2, Effort(steps=steps))) for steps in (5, 6)]
+    assert [row["step_ms"] for row in rows] == [10, 99]
+    assert len(laboratory.made) == 2
 
 
 def test_other_code_makes_a_result_stale_unless_it_is_to_be_kept(laboratory, monkeypatch):
