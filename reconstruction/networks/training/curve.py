@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from acquisition.durable import made_aside
 from reconstruction.errors import BadRunError
 
-COLOURS = ("#1f5fa8", "#c26a1b", "#3b8f4d", "#8a4fa3")
+COLOURS = ("#1f5fa8", "#c26a1b", "#3b8f4d", "#8a4fa3", "#a33b3b")
 IMAGE_LINES = {  # the style and the legend of each score
     "random_db": (":", "random scenes"),
     "development_db": ("--", "fan_and_ball, development seeds"),
