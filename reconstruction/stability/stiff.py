@@ -36,7 +36,7 @@ from reconstruction.training.trainer import Trainer
 from rigs.toml import catalog_rig
 
 TRUTH_INSTANTS = 4
-SPREAD_DB = 2.0  # dB between seeds at most, with so few Gaussians and steps; worst measured 1.2, on `dim`
+SPREAD_DB = 2.0  # dB between seeds at most, with so few Gaussians and steps; worst measured 2.4, on `burst`
 APART_DB = 0.1  # dB between float32 and float64 at most
 FALLS_TO = 0.95  # last losses over the first ones, at most; worst measured 0.88, on `flicker`
 ENDS = 10  # number of first losses, and of last ones
