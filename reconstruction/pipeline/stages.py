@@ -52,7 +52,7 @@ def reconstruct(
         budget = Budget(time.monotonic, began, spent_s, config.budget_s, config.steps)
         for name in _due(run, stage, last):
             if name != "train":  # which goes on where a killed one was; the others begin anew
-                run.undo_amendments([name])
+                run.document.undo_amendments([name])
             _work(name, run, recording, progress_of(name), budget, should_stop)
             now = time.monotonic()
             trained = name == "train"

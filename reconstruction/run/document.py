@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Literal
 
@@ -80,6 +80,10 @@ class RunDocument:
         for amendment in self.amendments:
             plan = plan and plan.amended(amendment)
         return plan
+
+    def undo_amendments(self, stages: Collection[str]) -> None:
+        """Take out of the plan what these stages have changed in it."""
+        self.amendments = [amendment for amendment in self.amendments if amendment.stage not in stages]
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values; `plan` is the amended one, beside `planned` and `amendments`, which make it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -90,10 +90,6 @@ class RunFolder:
         self.document.amendments = [*others, Amendment(stage, decision, changes)]
         self.save()
 
-    def undo_amendments(self, stages: Collection[str]) -> None:
-        """Take out of the plan what these stages have changed in it."""
-        self.document.amendments = [a for a in self.document.amendments if a.stage not in stages]
-
     @property
     def checkpoint(self) -> Path:
         """The newest state of training."""
@@ -126,7 +122,7 @@ class RunFolder:
         results = [RESULTS[stage] for stage in stages if stage in RESULTS]
         for told in (name for result in results for name in result.told):
             setattr(self.document, told, None)
-        self.undo_amendments(stages)
+        self.document.undo_amendments(stages)
         for by_stage in (self.document.seconds, self.document.warnings):
             for stage in stages:
                 by_stage.pop(stage, None)
