@@ -67,6 +67,7 @@ def points_stage(run: RunFolder, recording: Recording, progress: Progress) -> No
 
         bodies = keep_bodies(run, recording, found, moving_planes(recording.planes, plan.model, plan.sweeps))
         progress(1.0, f"{len(bodies)} rigid bodies with {bodies.attached} points; free: {bodies.free}")
+    # where no body was kept, the plan has become one of straight paths, which want other sweeps
     artefacts.write(run, artefacts.MOVERS, found if run.plan.sweeps == plan.sweeps else moving())
 
 
