@@ -25,8 +25,8 @@ _NAMES = columns([(name, bench.about) for name, bench in BENCHES.items()])
     "--scene",
     "--scenes",
     "scenes",
-    help="NAME,... or `realistic` [default: the bench's own]. pixels takes one; rivals keeps its runs on others; "
-    "rasterizer, recorder and leave-out have none.",
+    help="NAME,... or `realistic` [default: the bench's own]. pixels takes one; rivals and long keep their runs on "
+    "others; rasterizer, recorder and leave-out have none.",
 )
 @click.option("--quick", is_flag=True, help="One seed, one budget, one scene and no sweeps; seconds of recording.")
 @click.option(

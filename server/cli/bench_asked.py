@@ -24,7 +24,7 @@ THIS = (sys.executable, "-m", "server.cli")  # this command line, in a process o
 class Asked:
     """The options of the command; a stopped bench resumes from what is in `work`.
 
-    `earlier`: the document that an earlier call has left, whose rows benches of cells take.
+    `earlier`: the document that an earlier call has left, whose rows benches of cells, and `long`, take.
     """
 
     work: Path
@@ -43,11 +43,15 @@ class Asked:
         found = scenes_named(self.scenes) if self.scenes else default
         return found[:1] if self.quick else found
 
+    def earlier_document(self) -> dict:
+        """Return the document that an earlier call has left; empty where there is none."""
+        return json.loads(self.earlier.read_text()) if self.earlier and self.earlier.exists() else {}
+
     def earlier_rows(self) -> dict[str, dict]:
         """Return the runs of cells of the earlier document, the refused ones as well, by the names of their cells."""
         from reconstruction.bench.paper.summary import name_of  # late, for a capture host has no torch
 
-        found = json.loads(self.earlier.read_text()) if self.earlier and self.earlier.exists() else {}
+        found = self.earlier_document()
         rows = [row for part in ("rows", "refused") for row in found.get(part, []) if "asked" in row]
         runs = ({key: row[key] for key in row if key != "kept"} for row in rows)
         return {name_of(run): run for run in runs}

@@ -56,6 +56,11 @@ class LongClip:
         return f"{self.scene}-{self.planes}"
 
     @property
+    def about(self) -> dict:
+        """The names that all rows of it have."""
+        return {"clip": self.name, "scene": self.scene, "seed": self.seed}
+
+    @property
     def spans(self) -> tuple[Span, ...]:
         """The spans that its reconstruction has."""
         return cut(self.planes)
@@ -71,6 +76,7 @@ class LongBench:
     """Measures `clips` as far as there is `time_left`; what was measured is kept in `work`, by code and machine.
 
     `alone_s`: the seconds of a part alone. `every`: spans from a part that is reconstructed alone to the next.
+    `earlier`: rows of an earlier document; those of clips that are not measured now stay in this one.
     """
 
     clips: Sequence[LongClip]
@@ -80,6 +86,7 @@ class LongBench:
     alone_s: float = ALONE_S
     every: int = EVERY
     time_left: Callable[[], bool] = lambda: True
+    earlier: Sequence[dict] = ()
 
     def run(self) -> BenchDocument:
         """Return the document of all runs; what failed or was left out stands in its omissions."""
@@ -94,6 +101,8 @@ class LongBench:
                 document.rows += kept(self.work / f"{name}.json", measure, self._key)["rows"]
             except Spike4dgsError as error:
                 document.omissions.append(f"{name}: {error}")
+        measured = {row["clip"] for row in document.rows}
+        document.rows += [row for row in self.earlier if row["clip"] not in measured]
         document.summary = summarise(document.rows)
         document.omissions.append("one seed a scene, one run of each; nothing on several machines")
         self.progress(1.0, f"{len(document.rows)} rows")
@@ -116,9 +125,9 @@ class LongBench:
         out, budget_s = self.work / f"{clip.name}.run", clip.budget_s
         row = run_to_end(self.contender, clip.recorded(), out, budget_s, _told)
         spans = row.pop("spans", [])
-        about = {"clip": clip.name, "scene": clip.scene, "seed": clip.seed}
+        about = clip.about
         rows = [about | {"part": SPAN, "number": number} | span for number, span in enumerate(spans)]
-        return {"rows": [about | {"part": WHOLE, "planes": clip.planes, "budget_s": budget_s} | row, *rows]}
+        return {"rows": [about | {"part": WHOLE, "planes": clip.planes, "budget_s": budget_s} | row | device(), *rows]}
 
     def _alone(self, clip: LongClip, number: int) -> dict:
         """Return the row of one part of the recording, reconstructed as a recording of its own."""
@@ -126,16 +135,15 @@ class LongBench:
         if not part.exists():
             cut_out(Recording.open(clip.recorded()), span, part)
         row = run_to_end(self.contender, part, self.work / f"{clip.name}-{number}.run", self.alone_s, _told)
-        about = {"part": ALONE, "clip": clip.name, "scene": clip.scene, "seed": clip.seed, "number": number}
-        about |= {"first_tick": span.first, "last_tick": span.last - 1}
-        return {"rows": [about | {"planes": len(span), "budget_s": self.alone_s} | row]}
+        about = clip.about | {"part": ALONE, "number": number, "first_tick": span.first, "last_tick": span.last - 1}
+        return {"rows": [about | {"planes": len(span), "budget_s": self.alone_s} | row | device()]}
 
     def _baseline(self, clip: LongClip, model: str) -> dict:
         """Return the row of a baseline on the whole recording."""
         out = self.work / f"{clip.name}-{model}.run"
         row = run_to_end(self.contender, clip.recorded(), out, clip.budget_s, _told, model=model)
-        about = {"part": BASELINE, "model": model, "clip": clip.name, "scene": clip.scene, "seed": clip.seed}
-        return {"rows": [about | {"planes": clip.planes, "budget_s": clip.budget_s} | row]}
+        about = clip.about | {"part": BASELINE, "model": model, "planes": clip.planes, "budget_s": clip.budget_s}
+        return {"rows": [about | row | device()]}
 
 
 def _told(run: Path) -> dict:

@@ -5,7 +5,9 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 
+from acquisition.bench_document import machines_of, revisions_of
 from acquisition.durable import write_durably
+from acquisition.scenes.looks import EVALUATED
 from reconstruction.bench.conventions import made_by
 from reconstruction.bench.figures import COLOURS, caption, name_axes, new_figure, write_figure
 from reconstruction.bench.long.bench import ALONE, BASELINE, FLOORS, SPAN, WHOLE
@@ -65,13 +67,14 @@ def write_page(path: Path, document: dict) -> None:
 
 def page(document: dict) -> str:
     """Return the page of a document of the bench of long recordings."""
-    alike = all("instants" in row for row in document["rows"] if row["part"] == SPAN)
-    about = f"{ABOUT} {ALIKE if alike else UNLIKE}".replace("\n", " ")
-    parts = ["# Long recordings", made_by(document), about]
+    parts = ["# Long recordings", made_by(document), ABOUT.replace("\n", " ")]
     for clip in dict.fromkeys(row["clip"] for row in document["rows"]):
         own = [row for row in document["rows"] if row["clip"] == clip]
         runs = [row for row in own if row["part"] != SPAN]
-        parts += [f"## {clip}", _table("run", RUNS, [(_name(row), row) for row in runs])]
+        alike = all("instants" in row for row in own if row["part"] == SPAN)
+        made = f"{revisions_of(document, runs).capitalize()}, {machines_of(document, runs)}."
+        about = f"{_use(runs[0]['scene'])} {made} {ALIKE if alike else UNLIKE}"
+        parts += [f"## {clip}", about, _table("run", RUNS, [(_name(row), row) for row in runs])]
         floor = [row for row in runs if row["part"] == WHOLE and all(name in row for name in FLOORS)]
         parts += [_floor(*(row[name] for name in FLOORS)) for row in floor]
         ratios = {name: document["summary"].get(f"{clip}.{key}") for key, name in RATIOS.items()}
@@ -126,6 +129,10 @@ def _plot_lengths(panels: Sequence[Axes], rows: Sequence[dict]) -> None:
         axes.set_ylim(bottom=0)
         name_axes(axes, "planes", name)
     panels[0].legend(fontsize=7, frameon=False)
+
+
+def _use(scene: str) -> str:
+    return "An evaluation scene." if scene in EVALUATED else "A development scene."
 
 
 def _floor(whole_db: float, movers_db: float) -> str:

@@ -123,6 +123,18 @@ def test_a_span_is_scored_on_the_instants_of_the_part_alone(monkeypatch):
     assert long_spans.scored_spans(trained, SPANS) == SPANS
 
 
+def test_clips_of_an_earlier_document_stay_where_they_are_not_measured_again(bench):
+    measured, _ = bench
+    own, other = (
+        {"part": WHOLE, "scene": "pushed_blocks"} | end(30.0, clip=name) for name in ("carried_boxes-1200", "b")
+    )
+    measured.earlier = [own, other]
+    rows = measured.run().rows
+    assert rows[-1] == other
+    assert own not in rows
+    assert {row["clip"] for row in rows} == {"carried_boxes-1200", "b"}
+
+
 def test_what_fails_or_has_no_time_is_an_omission(bench, monkeypatch):
     def fails(*_: object, **__: object) -> dict:
         raise ReconstructionError("found exit code 1")
@@ -141,8 +153,11 @@ def test_page_and_picture_have_every_run(bench, tmp_path):
     said += ["| Gaussians |", "| 48,000 |", "fewer Gaussians", "on 4 instants"]
     for words in (*said, "| seconds a plane, over"):
         assert words in text
+    assert "A development scene. Revision abc, " in text
     alike = [row | {"instants": 8} for row in document["rows"]]
     assert "as many instants as the part alone" in page(document | {"rows": alike})
+    unseen = [row | {"scene": "pushed_blocks"} for row in document["rows"]]
+    assert "An evaluation scene. Revision abc, " in page(document | {"rows": unseen})
     plot_long(tmp_path / "long.png", document)
     assert (tmp_path / "long.png").read_bytes().startswith(b"\x89PNG")
     plot_long(tmp_path / "none.png", document | {"rows": []})
