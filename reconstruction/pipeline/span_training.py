@@ -130,16 +130,14 @@ def _started(
     clip = TimeSpan.of_planes(clock, 0, planes)
 
     def bodies() -> Bodies:
-        judged = lambda found: judge(  # noqa: E731
-            replace(seeds, moving=moving, bodies=lambda: found), views, clock, still
-        )
+        judged = lambda found: judge(replace(movers, bodies=lambda: found), views, clock, still)  # noqa: E731
         part_s = None if run.config.budget_s is None else run.config.budget_s / len(run.plan.spans)
         found = choose_bodies(moving, list(instants.values()), judged, ways_within(part_s, PART_S))
         return found.bodies.beside(len(resting))
 
     views = [(one.camera, one.source) for one in seen]
-    points = Points.joined([moving, resting])
-    seeds = Seeds(Points.none(), points, clip, run.plan.sweeps, run.config.seed, cameras, bodies, len(resting))
+    movers = Seeds(Points.none(), moving, clip, run.plan.sweeps, run.config.seed, cameras, bodies)
+    seeds = replace(movers, moving=Points.joined([moving, resting]), resting=len(resting))
     begun = METHODS[run.plan.model].start(seeds)
     assert isinstance(begun, DynamicCloud)
     near = unsettled(still.means, cameras, {i: one.shown for i, one in enumerate(seen)})
