@@ -128,7 +128,7 @@ class StreamWriter:
             sha256=sha256,
             gaps=self.gaps,
             skew_s=self.skew_s,
-            skew_sd_s=(self.clock or {}).get("skew_sd_s"),
+            skew_sd_s=None if self.skew_s is None else (self.clock or {}).get("skew_sd_s"),
             clock=self.clock,
             device=self.device,
         )

@@ -58,6 +58,7 @@ class Capture:
         self.lead = 0
         self._stamps = None if rules.period_s is None else StampLog(rules.period_s)
         self._stamped_until_s = 0.0  # a pulse before it, on the camera's clock, would be among them
+        self._shown_s: float | None = None  # by its clock at plane 0: to show more then makes no plane early
         self._began_again = 0  # where the camera's plane 0 lies since it came back
         self._rules = rules
         self._dropped = 0
@@ -75,7 +76,7 @@ class Capture:
         if self._stamps is None:
             return
         with contextlib.suppress(TimingError):
-            ahead_s = self._stamps.estimate(now_s, 0.0).skew_s
+            ahead_s = self._stamps.estimate(now_s, 0.0).skew_s - (self._shown_s or 0.0)
             believable = abs(ahead_s) <= CLOCK_SPREAD * now_s + self._stamps.period_s
             self.lead = round(ahead_s * rate_hz) if believable else 0
 
@@ -102,7 +103,8 @@ class Capture:
     def tell_clock(self) -> None:
         """Estimate the camera's clock from its sync pulses, for the manifest; where they cannot tell, do nothing.
 
-        Planes come late by what they were begun later, less what the clock is ahead in the middle of the recording.
+        Planes come late by what they were begun later, less what the clock is ahead in the middle of the recording, and
+        was not at plane 0 already. Those of a camera that was away lie where the host put them: nothing measured it.
         """
         rate_hz = self._rules.tick_rate_hz
         if self._stamps is None:
@@ -113,7 +115,8 @@ class Capture:
         except TimingError:
             return
         self.writer.clock = json.loads(json.dumps(dataclasses.asdict(estimate)))
-        self.writer.skew_s = self.lead / rate_hz - estimate.skew_s
+        if not self.returned:
+            self.writer.skew_s = self.lead / rate_hz + (self._shown_s or 0.0) - estimate.skew_s
 
     def _read(self, stop: threading.Event) -> None:
         """Take blocks until all planes are there or `stop` is set; raises DeviceError."""
@@ -169,6 +172,8 @@ class Capture:
             raise DeviceError(f"found plane {block.first_plane}", str(self.position), do, where=where)
         if self._stamps is not None and not self.returned:
             self._stamped_until_s = block.device_time_ns * 1e-9
+            if self._shown_s is None:
+                self._shown_s = self._stamped_until_s - block.first_plane / self._rules.tick_rate_hz
             if block.pulse_time_s is not None:
                 recorded = self._backlog.first is not None
                 self._stamps.add(block.sync_pulses - 1, block.pulse_time_s, recorded=recorded)

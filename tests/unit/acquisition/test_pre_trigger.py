@@ -44,12 +44,16 @@ class Ring:
 
 
 class Ticking(PlainCamera):
-    """Sends planes with their numbers by a clock that is `ahead_s` at the trigger and fast by `drift_ppm`."""
+    """Sends planes with their numbers by a clock that is `ahead_s` at the trigger and fast by `drift_ppm`.
+
+    All its times are `shown_s` later: that is what the clock shows at plane 0.
+    """
 
     layout = LAYOUT
 
-    def __init__(self, camera_id: str, ahead_s: float = 0.0, drift_ppm: float = 0.0):
+    def __init__(self, camera_id: str, ahead_s: float = 0.0, drift_ppm: float = 0.0, shown_s: float = 0.0):
         super().__init__()
+        self.shown_s = shown_s
         self.id, self.ahead_s, self.drift, self.at = camera_id, ahead_s, drift_ppm * 1e-6, 0
         self.until, self.stop = 0, threading.Event()
 
@@ -61,7 +65,7 @@ class Ticking(PlainCamera):
         self.at += BLOCK_PLANES
         if self.at >= self.until:
             self.stop.set()
-        times_ns = round(own_s * 1e9), round((own_s - stamp_s) * 1e9)
+        times_ns = round((own_s + self.shown_s) * 1e9), round((own_s - stamp_s) * 1e9)
         packed = numbers.view(np.uint8).reshape(-1, 4)
         return Block(first, first, times_ns[0], LAYOUT, packed, pulse + 1, 0, 0, max(0, times_ns[1]))
 
@@ -125,6 +129,31 @@ def test_cameras_whose_clocks_drift_begin_at_one_instant():
         late_s = capture.lead / RATE_HZ - drift * middle_s
         assert capture.writer.skew_s == pytest.approx(late_s, abs=1e-7)
         assert abs(capture.writer.skew_s) < 0.5 / RATE_HZ
+
+
+@pytest.mark.parametrize("pre_planes", [300, None])
+def test_what_a_clock_shows_at_plane_0_moves_nothing(pre_planes):
+    """Planes and pulses are both told by it, so that it cancels."""
+    bench = Bench([Ticking("shows more", drift_ppm=80, shown_s=1e-3), Ticking("usual", drift_ppm=80)], pre_planes, 2000)
+    bench.run.steer() if pre_planes is None else bench.play(60.0)
+    bench.save()
+    bench.play(65.0)
+    for capture in bench.captures:
+        capture.tell_clock()
+    shown, usual = bench.captures
+    assert shown.lead == usual.lead
+    assert shown.writer.skew_s == pytest.approx(usual.writer.skew_s, abs=1e-9)
+    assert shown.writer.clock["skew_s"] - usual.writer.clock["skew_s"] == pytest.approx(1e-3, abs=1e-9)
+
+
+def test_where_a_camera_that_was_away_lies_is_not_measured():
+    bench = Bench([Ticking("cam00", drift_ppm=80)], None, 2000)
+    bench.run.steer()
+    bench.captures[0].returned.append("cam00 was away")
+    bench.captures[0]._stamps.add(0, 0.0, recorded=True)
+    bench.play(2.0)
+    bench.captures[0].tell_clock()
+    assert bench.captures[0].writer.skew_s is None
 
 
 def test_a_clock_that_cannot_be_right_moves_nothing():
