@@ -8,7 +8,7 @@ import click
 from acquisition.devices import open as limits
 from acquisition.devices.open import Simulation, nested_in
 from acquisition.devices.registers import EXPOSURES, THRESHOLDS, Sensitivity
-from acquisition.errors import BadRecordingError
+from acquisition.errors import BadRecordingError, IncompleteError
 from acquisition.recording.finalise import finalise
 from acquisition.recording.importing import FORMATS, TRAILING_COLUMNS, ImportOptions, import_recording
 from acquisition.recording.manifest import Manifest
@@ -198,7 +198,11 @@ def record_command(
     sensitivity = Sensitivity(threshold or 1000, 1000 if exposure is None else exposure) if chosen else None
     with operator_control(saves=pre_trigger_ms is not None) as control:
         take = Take(ticks, pre_trigger_ms, keep_free * 1_000_000, control, sensitivity, rejoin_s)
-        manifest = record(load_named_rig(rig), devices, take, out, progress_of("record"))
+        try:
+            manifest = record(load_named_rig(rig), devices, take, out, progress_of("record"))
+        except IncompleteError:
+            _warn_of_skews(read_manifest(out))
+            raise
     _print_recording(out, manifest, as_json)
 
 
@@ -285,6 +289,10 @@ def _print_recording(out: Path, manifest: Manifest, as_json: bool) -> None:
     planes = f"{counts[0]} planes each" if counts[0] == counts[-1] else f"{counts[0]} to {counts[-1]} planes"
     line = f"{out}: {len(cameras)} cameras, {planes} at {manifest.tick_rate_hz:g} Hz, {lost} planes lost"
     line += f"; incomplete: {manifest.reason}" if manifest.reason else ""
+    _warn_of_skews(manifest)
+    answer({"recording": str(out), **facts, "cameras": cameras}, line, as_json=as_json)
+
+
+def _warn_of_skews(manifest: Manifest) -> None:
     if doubt := skew_doubt(manifest):
         warn(doubt)
-    answer({"recording": str(out), **facts, "cameras": cameras}, line, as_json=as_json)
