@@ -104,9 +104,9 @@ def truth_of(recording: Recording) -> Truth:
 def kept(file: Path | None, measure: Callable[[], dict], key: Mapping[str, object] | None = None) -> dict:
     """Return the result of `measure`, from `file` where an earlier call with an equal `key` left it.
 
-    A new result is written to `file`, unless that is None. Results and keys are plain JSON values.
+    A new result is written to `file`, unless that is None. Results and keys can be written as JSON.
     """
-    wanted = dict(key or {})
+    wanted = json.loads(json.dumps(dict(key or {})))
     if file and file.exists():
         found = json.loads(file.read_text())
         if found.get("key") == wanted:

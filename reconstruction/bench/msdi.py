@@ -67,11 +67,11 @@ def bench_msdi(
 
     Without `time_left` no further arm is begun.
     """
-    lengths = QUICK if quick else Lengths()
-    document = BenchDocument("msdi")
-    write_clips(work / "clips", lengths.clips, part(progress, 0, 0.1))
+    lengths, code = QUICK if quick else Lengths(), networks_code()
+    document, clips = BenchDocument("msdi"), work / f"clips-{code}"
+    write_clips(clips, lengths.clips, part(progress, 0, 0.1))
     random = msdi_validation.random_clips(lengths.kinds, lengths.scored)
-    views, code = msdi_validation.scored_views(random, recordings, part(progress, 0.1, 0.2)), networks_code()
+    views = msdi_validation.scored_views(random, recordings, part(progress, 0.1, 0.2))
     scored = [misplaced_views(one, SEED + number) for number, one in enumerate(views)]
     for number, (arm, choices) in enumerate(ARMS.items()):
         if not time_left():
@@ -79,7 +79,7 @@ def bench_msdi(
             continue
         along = part(progress, 0.2 + 0.8 * number / len(ARMS), 0.2 + 0.8 * (number + 1) / len(ARMS))
         folder = work / f"{_folder(arm)}-{code}"  # a training goes on by the code that it began with
-        learn = partial(_learnt, arm, folder, work / "clips", lengths, scored, along)
+        learn = partial(_learnt, arm, folder, clips, lengths, scored, along)
         key = choices | {"steps": lengths.steps, "networks": code, "rigs_off": RANDOM_ERROR}
         document.rows += kept(work / f"{_folder(arm)}.json", learn, key)["rows"]
     shipped = msdi_validation.scores_by_scene(trained_msdi(), scored)

@@ -8,7 +8,7 @@ where its cure is switched off.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from acquisition.scenes.glass import Glass
 from acquisition.spikes.traits import Traits
 from reconstruction.bench.conventions import HOLDOUT, apart, kept, means, named
 from reconstruction.bench.defects.recordings import Defect, recorded, straightened
-from reconstruction.bench.paper.digest import code_and_machine
+from reconstruction.bench.paper.digest import code_and_machine, this_code
 from reconstruction.errors import ReconstructionError
 from reconstruction.run.configuration import ReconstructionConfig
 from rigs.rig import Rig
@@ -86,16 +86,17 @@ class Workshop:
         name = f"{scene}-{seed}-{defect.name}-{'cured' if cured else 'uncured'}-{self.steps}-{training_seed}"
         about = {"scene": scene, "seed": seed, "defect": defect.name, "cured": cured, "steps": self.steps}
         about |= {"training_seed": training_seed, "against": defect.against}
+        usual: dict[str, Any] = {"holdout": HOLDOUT, "steps": self.steps, "budget_s": None, "seed": training_seed}
+        config = ReconstructionConfig(**usual | ({} if cured else defect.uncured))
 
         def measure() -> dict:
             path = recorded(self.work, self.rig, subject, defect)
             if not cured and defect.bent:
                 path = straightened(path)
-            usual: dict[str, Any] = {"holdout": HOLDOUT, "steps": self.steps, "budget_s": None, "seed": training_seed}
-            config = ReconstructionConfig(**usual | ({} if cured else defect.uncured))
             return apart(partial(_measured, path, self.work / f"{name}.run", config))
 
-        return about | kept(self.work / f"{name}.json", measure, code_and_machine())
+        key = code_and_machine() | {"choices": asdict(config)}
+        return about | kept(self.work / f"{name}.json", measure, key)
 
 
 def bench_defects(
@@ -107,12 +108,13 @@ def bench_defects(
     quick: bool = False,
     time_left: Callable[[], bool] = lambda: True,
 ) -> BenchDocument:
-    """Run every defect on `scenes`, and a few on the `realistic` ones, each a name and a seed; runs lie in `work`.
+    """Run every defect on `scenes`, and a few on the `realistic` ones, each a name and a seed.
 
-    `quick`: one defect of the first scene, in few steps. Without `time_left` no further run is begun. A run found in
-    `work` is not repeated, so that a stopped bench resumes.
+    `quick`: one defect of the first scene, in few steps. Without `time_left` no further run is begun. Recordings and
+    runs lie in a folder of `work` that this code has of its own; a run found there is not repeated, so that a stopped
+    bench resumes.
     """
-    document, work = BenchDocument("defects"), work.resolve()
+    document, work = BenchDocument("defects"), work.resolve() / this_code()
     work.mkdir(parents=True, exist_ok=True)
     shop = Workshop(work, catalog_rig("ci3x3" if quick else "lab3x3"), QUICK_STEPS if quick else STEPS)
     todo = _todo(scenes, [], (replace(CLEAN, seeds=SEEDS[:1]), DEFECTS[0])) if quick else _todo(scenes, realistic)

@@ -11,7 +11,7 @@ chooses, unless an arm says otherwise. Compare figures with one another, not wit
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
 from reconstruction.bench.conventions import apart, kept
 from reconstruction.bench.leave_out.cases import BLIND, CASES, GREY, MISSED, PLAN, UNWATCHED, Arm, Job, PlanCase
-from reconstruction.bench.paper.digest import code_and_machine
+from reconstruction.bench.paper.digest import code_and_machine, this_code
 from rigs.toml import catalog_rig
 
 SIZE = (200, 125)  # pixels of a clip
@@ -55,7 +55,8 @@ class Runs:
             length = (None, budget_s) if budget_s else (self.steps, None)
             return apart(partial(_measured, Job(recorded(case, self.work), arm, self.work / f"{name}.run", *length)))
 
-        return about | kept(self.work / f"{name}.json", measure, code_and_machine())
+        key = code_and_machine() | {"arm": asdict(arm)}
+        return about | kept(self.work / f"{name}.json", measure, key)
 
 
 def bench_leave_out(
@@ -66,12 +67,13 @@ def bench_leave_out(
     cases: Sequence[PlanCase] = CASES,
     time_left: Callable[[], bool] = lambda: True,
 ) -> BenchDocument:
-    """Run every case by its plan, with every choice switched, and with each of its decisions; runs lie in `work`.
+    """Run every case by its plan, with every choice switched, and with each of its decisions.
 
-    `quick`: the first case alone, in few steps. Without `time_left` no further case is begun. A run of this
-    code in `work` is not repeated, so that a stopped bench resumes.
+    `quick`: the first case alone, in few steps. Without `time_left` no further case is begun. Recordings and runs lie
+    in a folder of `work` that this code has of its own; a run found there is not repeated, so that a stopped bench
+    resumes.
     """
-    document = BenchDocument("leave-out")
+    document, work = BenchDocument("leave-out"), work / this_code()
     work.mkdir(parents=True, exist_ok=True)
     runs = Runs(work, QUICK_STEPS, None) if quick else Runs(work)
     todo = list(cases[:1] if quick else cases)

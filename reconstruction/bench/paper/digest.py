@@ -56,13 +56,15 @@ def code_and_machine(method: Method = PLANNED) -> dict[str, str | int]:
 
 
 def networks_code() -> str:
-    """Return the first digits of a digest of all that networks start from and are trained by.
+    """Return the first digits of a digest of all that networks start from, are trained by and are scored by.
 
-    The weights of MSDI that ship are not among it: no training begins with them unasked.
+    Those are the networks, scenes, spikes, cameras and metrics. The weights of MSDI that ship are not among it: no
+    training begins with them unasked.
     """
-    root = Path(reconstruction.__path__[0])
-    files = [path for path in (root / "networks").rglob("*") if path.suffix in SUFFIXES]
-    named = ((path.relative_to(root).as_posix(), path) for path in files)
+    parts = (reconstruction, "networks"), (reconstruction, "metrics"), (acquisition, "scenes"), (acquisition, "spikes")
+    roots = [(Path(package.__path__[0]), folder) for package, folder in (*parts, (rigs, "."))]
+    files = [(root, path) for root, folder in roots for path in (root / folder).rglob("*") if path.suffix in SUFFIXES]
+    named = ((path.relative_to(root).as_posix(), path) for root, path in files)
     return _digest_over((name, path) for name, path in named if not name.startswith(MSDI_WEIGHTS))[:KEPT_DIGITS]
 
 

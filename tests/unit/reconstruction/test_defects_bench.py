@@ -143,8 +143,9 @@ def test_the_bench_resumes_and_says_what_it_left_out(tmp_path, monkeypatch):
     made: list[str] = []
 
     def told(work):
-        _, run, config = work.args
+        recording, run, config = work.args
         made.append(run.name)
+        assert (run.parent, recording.parent) == (tmp_path / "of-today", tmp_path / "of-today")
         assert config.seed == int(run.stem[-1])
         assert (config.pixels == "even") == any(
             f"-{name}-uncured" in run.name for name in ("pixels", "vignetting", "harsh")
@@ -152,7 +153,8 @@ def test_the_bench_resumes_and_says_what_it_left_out(tmp_path, monkeypatch):
         return dict(RUN)
 
     monkeypatch.setattr(bench, "apart", told)
-    monkeypatch.setattr(bench, "recorded", lambda work, rig, subject, defect: Path(f"{subject[0]}-{defect.name}"))
+    monkeypatch.setattr(bench, "this_code", lambda: "of-today")
+    monkeypatch.setattr(bench, "recorded", lambda work, rig, subject, defect: work / f"{subject[0]}-{defect.name}")
     monkeypatch.setattr(bench, "straightened", lambda path: path)
     scenes, drawn = [("fan_and_ball", 1)], [("plain_room", 1)]
     document = bench_defects(scenes, drawn, tmp_path, silent)

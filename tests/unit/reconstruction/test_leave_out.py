@@ -89,7 +89,11 @@ def test_the_document_has_every_case_and_nothing_is_run_twice_by_one_code(made, 
     with monkeypatch.context() as mended:
         mended.setattr(bench, "code_and_machine", lambda: {"code": "of a mend"})
         bench_leave_out(tmp_path, silent)
-    assert len(made) == runs
+        assert len(made) == runs
+        mended.setattr(bench, "this_code", lambda: "mended")
+        bench_leave_out(tmp_path, silent)
+    assert len(made) == 2 * runs
+    assert (tmp_path / "mended").is_dir()  # with recordings of its own
     plot_leave_out(tmp_path / "a.png", document)
     assert (tmp_path / "a.png").stat().st_size > 1000
 

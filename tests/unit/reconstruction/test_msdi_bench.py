@@ -63,6 +63,7 @@ def told(monkeypatch):
         curve: ClassVar = [{"step": 2, "seconds": 1.0, **{f"clutter {score}": 1.0 for score in SCORES}}]
 
         def __init__(self, folder, config, clips, device, notes):
+            assert clips.name.rpartition("-")[2] == folder.name.rpartition("-")[2]  # the same code's
             asked.append((folder.name, config))
 
         def run(self, score, progress):
