@@ -126,12 +126,15 @@ class Laboratory:
         return " ".join(str(error).replace(f"{self.work}/", "").split())
 
     def _quietest(self, cell: Cell, config: ReconstructionConfig, recording: Path, out: Path) -> dict:
-        """Run a cell until others leave it in peace, TRIES times at most, and return the scores of the quietest run."""
+        """Run a cell until others leave it in peace, TRIES times at most, and return the scores of the quietest run.
+
+        That is the one whose machine made most steps in the time that others left it.
+        """
         tried: list[tuple[dict, Path]] = []
         while not tried or (len(tried) < TRIES and self._is_disturbed(cell, tried[-1][0])):
             place = out.with_name(f"{out.name}.{len(tried)}")
             tried.append((self._run(cell, config, recording, place), place))
-        best, kept = min(tried, key=lambda one: (one[0]["stolen"], one[0]["step_ms"]))
+        best, kept = min(tried, key=lambda one: one[0]["step_ms"] / (1 - one[0]["stolen"]))
         kept.rename(out)
         for _, place in tried:
             shutil.rmtree(place, ignore_errors=True)

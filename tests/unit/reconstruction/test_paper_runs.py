@@ -125,6 +125,14 @@ def test_a_run_on_a_machine_that_had_become_slower_is_run_again(laboratory, pace
     assert len(laboratory.made) == made
 
 
+def test_a_slow_machine_weighs_more_than_ten_thousandths_that_were_stolen(laboratory, monkeypatch):
+    took, shares = iter([10, 10, 30, 30, 11, 11]), iter([0.0, 0.0002, 0.0003])
+    laboratory.own.pace = lambda: next(took)
+    monkeypatch.setattr(runs, "Stolen", lambda: SimpleNamespace(share=lambda: next(shares)))
+    rows = [laboratory.own.result(Cell(GOOD, "fan_and_ball", 2, Effort(seconds))) for seconds in (10.0, 11.0)]
+    assert [(row["step_ms"], row["stolen"]) for row in rows] == [(10, 0.0), (11, 0.0003)]
+
+
 def test_a_run_of_steps_is_not_run_again_for_a_slower_machine(laboratory):
     took = iter([10, 10, 99, 99])
     laboratory.own.pace = lambda: next(took)
