@@ -61,7 +61,7 @@ def _lost(run: RunFolder, recording: Recording) -> str:
     named = ", ".join(f"{planes} of {camera}" for camera, planes in lost.items() if planes)
     if not named:
         return ""
-    do = "leave such a camera out by --views, or such ticks by --from-tick and --to-tick"
+    do = "leave such a training camera out by --views, or such ticks by --from-tick and --to-tick"
     return f"planes were lost, {named}, and count as darkness: {do}"
 
 
