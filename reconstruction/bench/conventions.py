@@ -24,7 +24,7 @@ from acquisition.scenes.catalog import (
     REALISTIC_LONG,
 )
 from reconstruction.calibration.features import long_image
-from reconstruction.errors import BadRunError
+from reconstruction.errors import BadRunError, ReconstructionError
 from reconstruction.truth import Truth, TruthFrame
 from rigs.rig import Rig
 from rigs.toml import catalog_rig
@@ -116,6 +116,17 @@ def kept(file: Path | None, measure: Callable[[], dict], key: Mapping[str, objec
         file.parent.mkdir(parents=True, exist_ok=True)
         write_json(file, {"key": wanted, "result": result})
     return result
+
+
+def in_time(time_left: Callable[[], bool], measure: Callable[[], dict]) -> Callable[[], dict]:
+    """Return `measure` that is refused without `time_left`; raises ReconstructionError then."""
+
+    def begun() -> dict:
+        if not time_left():
+            raise ReconstructionError("no time was left")
+        return measure()
+
+    return begun
 
 
 def apart(work: Callable[[], Result]) -> Result:

@@ -1,7 +1,5 @@
 """The defects bench: its list, its recordings, what it makes of its rows, and that it resumes."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 

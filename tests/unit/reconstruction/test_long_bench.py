@@ -146,6 +146,14 @@ def test_what_fails_or_has_no_time_is_an_omission(bench, monkeypatch):
     assert any("no time was left" in line for line in measured.run().omissions)
 
 
+def test_without_time_what_was_measured_before_is_told(bench):
+    measured, asked = bench
+    found = measured.run()
+    measured.time_left = lambda: False
+    again = measured.run()
+    assert (again.rows, again.omissions, len(asked)) == (found.rows, found.omissions, 3)
+
+
 def test_page_and_picture_have_every_run(bench, tmp_path):
     document = bench[0].run().to_json()
     text = page(document)

@@ -20,7 +20,7 @@ SWEEPS = 4
 
 
 def points(count: int) -> Points:
-    positions = np.random.default_rng(count).uniform(-0.2, 0.2, (count, 3)) + (0, 0, 2)
+    positions = np.random.default_rng(count).uniform((-0.2, -0.2, 1.8), (0.2, 0.2, 2.2), (count, 3))
     return Points(positions, np.full(count, 0.5, np.float32), np.full(count, 0.02), np.linspace(0.0, 0.02, count))
 
 
