@@ -10,6 +10,7 @@ from pathlib import Path
 from acquisition.revision import code_revision
 
 OLDER = "old"  # what rows of an older revision, measured beside this one, have as `which`
+SPAN = "span"  # what rows of a span, which is a part of a run that has a row of its own, have as `part`
 
 
 @dataclass

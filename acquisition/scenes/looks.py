@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterable
 from pathlib import Path
 
+from acquisition.bench_document import SPAN
 from acquisition.durable import write_durably
 from acquisition.scenes.catalog import (
     EVALUATION,
@@ -24,11 +25,12 @@ NO_REASON = "none was given"
 def looks_of(document: dict, day: str, reason: str = NO_REASON) -> list[dict]:
     """Return a look for each evaluation scene and revision among the rows of a bench's document.
 
-    `day` is a date as 2026-11-26. Rows without a revision of their own are of the document's.
+    `day` is a date as 2026-11-26. Rows without a revision of their own are of the document's. A row of a span is of a
+    run that has a row itself.
     """
     runs: dict[tuple[str, str], int] = {}
     for row in document["rows"]:
-        if row.get("scene") in EVALUATED:
+        if row.get("scene") in EVALUATED and row.get("part") != SPAN:
             key = str(row.get("revision", document["revision"])), row["scene"]
             runs[key] = runs.get(key, 0) + 1
     about = {"bench": document["bench"], "day": day, "reason": reason}

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from acquisition.bench_document import BenchDocument, device
+from acquisition.bench_document import SPAN, BenchDocument, device
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from acquisition.revision import code_revision
@@ -28,7 +28,7 @@ from reconstruction.run.spans import Span, cut
 from reconstruction.training.checkpoint import load_checkpoint
 from rigs.errors import Spike4dgsError
 
-WHOLE, SPAN, ALONE, BASELINE = "whole", "span", "alone", "baseline"  # parts of the document
+WHOLE, ALONE, BASELINE = "whole", "alone", "baseline"  # parts of the document, beside SPAN
 ALONE_S, QUICK_S = 60.0, 6.0  # budget of a part alone
 EVERY = 5  # spans from one that is reconstructed alone to the next
 CHECKPOINT = "checkpoint.pt"
@@ -123,7 +123,8 @@ class LongBench:
         row = run_to_end(self.contender, clip.recorded(), out, budget_s, _told)
         spans = row.pop("spans", [])
         about = clip.about
-        rows = [about | {"part": SPAN, "number": number} | span for number, span in enumerate(spans)]
+        of_span = about | {"part": SPAN, "revision": row["revision"]}
+        rows = [of_span | {"number": number} | span for number, span in enumerate(spans)]
         return {"rows": [about | {"part": WHOLE, "planes": clip.planes, "budget_s": budget_s} | row | device(), *rows]}
 
     def _alone(self, clip: LongClip, number: int) -> dict:

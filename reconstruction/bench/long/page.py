@@ -5,12 +5,12 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 
-from acquisition.bench_document import machines_of, revisions_of
+from acquisition.bench_document import SPAN, machines_of, revisions_of
 from acquisition.durable import write_durably
 from acquisition.scenes.looks import EVALUATED
 from reconstruction.bench.conventions import made_by
 from reconstruction.bench.figures import COLOURS, caption, name_axes, new_figure, write_figure
-from reconstruction.bench.long.bench import ALONE, BASELINE, FLOORS, SPAN, WHOLE
+from reconstruction.bench.long.bench import ALONE, BASELINE, FLOORS, WHOLE
 from reconstruction.bench.paper.tables import markdown
 
 ABOUT = """The whole is one reconstruction in spans. A part alone is the same planes as a recording of their own.

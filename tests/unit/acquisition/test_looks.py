@@ -19,6 +19,12 @@ def test_rows_of_evaluation_and_stress_scenes_are_counted_and_no_others():
     assert all((look["day"], look["revision"], look["reason"]) == ("2026-01-02", "abc", NO_REASON) for look in found)
 
 
+def test_a_span_is_no_look_of_its_own():
+    rows = [{"scene": "pushed_blocks", "part": part, "revision": "abc"} for part in ("whole", "span", "span", "alone")]
+    (found,) = looks_of(document() | {"rows": rows}, "d")
+    assert found["runs"] == 2
+
+
 def test_a_row_of_another_revision_is_a_look_of_that_revision():
     (found,) = looks_of(document(EVALUATION[0], revision="new") | {"rows": [{"scene": "fan", "revision": "old"}]}, "d")
     assert found["revision"] == "old"

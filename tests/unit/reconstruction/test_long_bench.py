@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from acquisition.bench_document import SPAN
 from acquisition.devices.open import Simulation
 from acquisition.progress import silent
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
 from reconstruction.bench.long import bench as long_bench
 from reconstruction.bench.long import spans as long_spans
-from reconstruction.bench.long.bench import ALONE, BASELINE, SPAN, WHOLE, LongBench, LongClip, summarise
+from reconstruction.bench.long.bench import ALONE, BASELINE, WHOLE, LongBench, LongClip, summarise
 from reconstruction.bench.long.page import page, plot_long
 from reconstruction.bench.long.part import cut_out
 from reconstruction.bench.speed.run import NEW, Contender
@@ -66,6 +67,7 @@ def test_the_whole_and_every_so_many_parts_are_run_once(bench):
     measured.run()
     assert len(asked) == 3
     assert "spans" not in document.rows[0]
+    assert {row["revision"] for row in document.rows} == {"abc"}
 
 
 def test_the_whole_is_compared_with_its_parts(bench):
