@@ -98,12 +98,18 @@ class LongBench:
                 document.rows += kept(self.work / f"{name}.json", in_time(self.time_left, measure), self._key)["rows"]
             except Spike4dgsError as error:
                 document.omissions.append(f"{name}: {error}")
-        measured = {row["clip"] for row in document.rows}
-        document.rows += [row for row in self.earlier if row["clip"] not in measured]
+        self._keep_earlier(document)
         document.summary = summarise(document.rows)
         document.omissions.append("one seed a scene, one run of each; nothing on several machines")
         self.progress(1.0, f"{len(document.rows)} rows")
         return document
+
+    def _keep_earlier(self, document: BenchDocument) -> None:
+        """Add the earlier rows of clips that were not measured now, and do not call them left out."""
+        measured = {row["clip"] for row in document.rows}
+        document.rows += [row for row in self.earlier if row["clip"] not in measured]
+        stay = tuple(f"{clip}{end}" for clip in {row["clip"] for row in document.rows} - measured for end in "-:")
+        document.omissions = [line for line in document.omissions if not line.startswith(stay)]
 
     @cached_property
     def _key(self) -> dict[str, str | int | float]:

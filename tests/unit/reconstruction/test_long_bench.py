@@ -135,6 +135,9 @@ def test_clips_of_an_earlier_document_stay_where_they_are_not_measured_again(ben
     assert rows[-1] == other
     assert own not in rows
     assert {row["clip"] for row in rows} == {"carried_boxes-1200", "b"}
+    measured.work, measured.time_left = measured.work / "empty", lambda: False
+    late = measured.run()
+    assert (late.rows, len(late.omissions)) == ([own, other], 1)
 
 
 def test_what_fails_or_has_no_time_is_an_omission(bench, monkeypatch):
