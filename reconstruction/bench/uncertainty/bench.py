@@ -1,7 +1,7 @@
 """Measures expected errors against true ones, at the held-out camera and at views that nobody captured.
 
-Their weights are fitted here, for each scene on all other scenes, so that no figure is of a scene that was fitted.
-Letters: K terms, B blocks of pixels.
+Their weights are fitted here, for each scene on all scenes that are not alike, so that no figure is of a scene that was
+fitted. Letters: K terms, B blocks of pixels.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress
-from acquisition.scenes.catalog import build_scene
+from acquisition.scenes.catalog import DEVELOPMENT, build_scene
 from reconstruction.bench.contact_sheet import write_sheet
 from reconstruction.bench.conventions import HOLDOUT, KnownRecording, means
 from reconstruction.bench.viewpoints import SAMPLES, viewpoints
@@ -28,6 +28,7 @@ from reconstruction.uncertainty.expected_error import WEIGHTS, Uncertainty
 from rigs.camera import Camera
 
 HELD_OUT = "held-out"
+ALIKE = {*DEVELOPMENT, "sky", "far", "black"}  # the same things and movers, before other backgrounds
 INSTANTS = (0.25, 0.55, 0.8)  # as shares of the clip
 PLACES = {("between", 0.1), ("forward", 0.4), ("backward", -0.4), *(("beyond", d) for d in (0.05, 0.1, 0.2, 0.4, 0.8))}
 SHOWN = {(HELD_OUT, 0.0), ("beyond", 0.2)}  # the views on the sheet
@@ -78,6 +79,11 @@ def _nearest(terms: Floats, squares: Floats, share: Floats) -> Floats:
     return logs.detach().exp().numpy()
 
 
+def kin(scene: str) -> set[str]:
+    """Return the scenes whose views tell too much of this one to fit weights for it: itself, and those alike."""
+    return ALIKE if scene in ALIKE else {scene}
+
+
 def scored(view: SeenView, weights: Floats) -> dict[str, float]:
     """Return the true and the expected root mean square over white, their ratio, and the rank correlation of blocks."""
     expected = [weights @ terms + LEAST for terms in view.terms]
@@ -102,10 +108,11 @@ def bench_uncertainty(
         views += [view for view, _ in found]
         tiles += [strip for view, strip in found if (view.about["line"], view.about["along_m"]) in SHOWN]
     known = [view for view in views if view.about["scene"] not in drawn]
-    for scene in dict.fromkeys(view.about["scene"] for view in views):
-        weights = fitted([view for view in known if view.about["scene"] != scene])
+    for scene in dict.fromkeys(str(view.about["scene"]) for view in views):
+        others = [view for view in known if view.about["scene"] not in kin(scene)]
+        weights, fitted_on = fitted(others), list(dict.fromkeys(view.about["scene"] for view in others))
         own = [view for view in views if view.about["scene"] == scene]
-        document.rows += [{**view.about, **scored(view, weights)} for view in own]
+        document.rows += [{**view.about, **scored(view, weights), "fitted_on": fitted_on} for view in own]
     document.summary = _summary(document.rows, drawn) | _named(fitted(known))
     left_out = "the held-out view alone: elsewhere their truth takes long to draw"
     any_drawn = any(clip.scene in drawn for clip, _ in runs)

@@ -1,15 +1,12 @@
 """The evidence of training views, and the errors that are expected from it."""
 
-import json
 import math
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from reconstruction.bench.uncertainty.bench import LEAST, SeenView, fitted, scored
 from reconstruction.errors import BadRunError
 from reconstruction.evaluation.expectation import block_means, rank_correlation
 from reconstruction.gaussians.dynamic import DynamicCloud
@@ -23,7 +20,6 @@ from reconstruction.uncertainty.expected_error import FARTHEST, NARROWEST_RAD, W
 from rigs.clock import RigClock
 from rigs.transform import Transform
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 CLOCK = RigClock(20000.0, 40)
 SPAN = Span(0, 200)
 
@@ -272,26 +268,3 @@ def test_ranks_that_are_shared_agree_on_nothing():
     values = np.random.default_rng(4).random(30)
     assert abs(rank_correlation(np.r_[np.zeros(970), values], np.r_[values, np.zeros(970)])) < 0.05
     assert rank_correlation(np.array([1.0, 1, 2, 3]), np.array([5.0, 6, 7, 8])) == pytest.approx(4.5 / 22.5**0.5)
-
-
-def drawn_view(weights, seed) -> SeenView:
-    rng = np.random.default_rng(seed)
-    terms = rng.exponential(1.0, (len(weights), 4000)) * 10.0 ** -np.arange(len(weights))[:, None]
-    squares = (np.array(weights) @ terms + LEAST) * rng.standard_normal(4000) ** 2
-    return SeenView({"scene": f"s{seed}"}, [terms[:, :1000], terms[:, 1000:]], [squares[:1000], squares[1000:]])
-
-
-@pytest.mark.parametrize("weights", [(1.0, 10.0, 100.0), (2.0, 0.0, 50.0), (0.0, 3e-4, 0.0)])
-def test_the_fit_finds_the_weights_that_errors_were_drawn_with(weights):
-    views = [drawn_view(weights, seed) for seed in (1, 2)]
-    found = fitted(views)
-    scale = 10.0 ** -np.arange(3)
-    np.testing.assert_allclose(found * scale, np.array(weights) * scale, atol=0.1 * max(np.array(weights) * scale))
-    assert scored(views[0], found)["ratio"] == pytest.approx(1, abs=0.1)
-
-
-def test_the_weights_are_those_of_the_committed_bench():
-    summary = json.loads((BENCHMARKS / "uncertainty.json").read_text())["summary"]
-    assert {f"weight.{name}": value for name, value in WEIGHTS.items()} == pytest.approx(
-        {name: value for name, value in summary.items() if name.startswith("weight.")}
-    )
