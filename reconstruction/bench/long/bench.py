@@ -168,7 +168,7 @@ def summarise(rows: Sequence[dict]) -> dict[str, float]:
     `CLIP.psnr_db` and the other scores are the mean over the spans that were also reconstructed alone, less that of
     these parts. `CLIP.seconds_ratio`, with the report, and `CLIP.bytes_ratio` are of a plane, `CLIP.memory_ratio` is
     of the peaks. `CLIP.seam_ratio` is of the steps of movers' errors at seams and within spans; `CLIP.followed` and
-    `CLIP.switched` count bodies there.
+    `CLIP.switched` count bodies there. `CLIP.above_best.psnr_db` is how far the whole is above the best baseline.
     """
     summary: dict[str, float] = {}
     for whole in (row for row in rows if row["part"] == WHOLE):
@@ -183,7 +183,9 @@ def summarise(rows: Sequence[dict]) -> dict[str, float]:
         ratios = {f"{n}_ratio": _a_plane([whole], k) / _a_plane(parts.values(), k) for n, k in _A_PLANE.items()}
         ratios |= {name: whole[name] for name in SEAMS if name in whole}
         ratios["memory_ratio"] = whole["peak_mb"] / float(np.mean([row["peak_mb"] for row in parts.values()]))
-        summary |= {f"{whole['clip']}.{name}": value for name, value in (differences | ratios).items()}
+        rivals = [row["psnr_db"] for row in own if row["part"] == BASELINE]
+        above = {"above_best.psnr_db": whole["psnr_db"] - max(rivals)} if rivals else {}
+        summary |= {f"{whole['clip']}.{name}": value for name, value in (differences | ratios | above).items()}
     return summary
 
 

@@ -50,6 +50,7 @@ RATIOS = {
     "seam_ratio": "step of movers' errors at seams, over that within spans",
     "followed": "bodies that were followed across a seam",
     "switched": "of these, other objects after it",
+    "above_best.psnr_db": "PSNR above the best baseline in one piece / dB",
 }
 KINDS = {WHOLE: "in spans", ALONE: "a part alone", BASELINE: "a baseline in one piece"}
 BY_LENGTH = (  # of the runs: the name of a value, what the axis calls it, its unit, whether it is of a plane
@@ -79,7 +80,7 @@ def page(document: dict) -> str:
         parts += [_floor(*(row[name] for name in FLOORS)) for row in floor]
         ratios = {name: document["summary"].get(f"{clip}.{key}") for key, name in RATIOS.items()}
         lines = [(name, f"{value:.3f}".removesuffix(".000")) for name, value in ratios.items() if value is not None]
-        parts += [markdown(("against the parts alone", ""), lines)] if lines else []
+        parts += [markdown(("compared", ""), lines)] if lines else []
         spans = [row for row in own if row["part"] == SPAN]
         parts += [_table("span", SPANS, [(str(row["number"]), row) for row in spans])] if spans else []
     if document["omissions"]:

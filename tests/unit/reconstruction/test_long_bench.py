@@ -78,6 +78,7 @@ def test_the_whole_is_compared_with_its_parts(bench):
     assert summary[f"{clip}.seconds_ratio"] == pytest.approx(75 / 1200 / (60 / 400))
     assert summary[f"{clip}.bytes_ratio"] == pytest.approx(6 / 1200 / (4 / 400))
     assert summary[f"{clip}.memory_ratio"] == pytest.approx(1.0)
+    assert summary[f"{clip}.above_best.psnr_db"] == pytest.approx(37.0 - 25.0)
 
 
 def test_a_part_is_compared_with_the_span_of_the_same_planes():
