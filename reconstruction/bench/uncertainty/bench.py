@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from acquisition.bench_document import BenchDocument
 from acquisition.progress import Progress
-from acquisition.scenes.catalog import DEVELOPMENT, build_scene
+from acquisition.scenes.catalog import BACKGROUNDS, DEVELOPMENT, build_scene
 from reconstruction.bench.contact_sheet import write_sheet
 from reconstruction.bench.conventions import HOLDOUT, KnownRecording, means
 from reconstruction.bench.viewpoints import SAMPLES, viewpoints
@@ -28,7 +28,7 @@ from reconstruction.uncertainty.expected_error import WEIGHTS, Uncertainty
 from rigs.camera import Camera
 
 HELD_OUT = "held-out"
-ALIKE = {*DEVELOPMENT, "sky", "far", "black"}  # the same things and movers, before other backgrounds
+ALIKE = {*DEVELOPMENT, *BACKGROUNDS} - {"plain"}  # the same things and movers, before other backgrounds
 INSTANTS = (0.25, 0.55, 0.8)  # as shares of the clip
 PLACES = {("between", 0.1), ("forward", 0.4), ("backward", -0.4), *(("beyond", d) for d in (0.05, 0.1, 0.2, 0.4, 0.8))}
 SHOWN = {(HELD_OUT, 0.0), ("beyond", 0.2)}  # the views on the sheet

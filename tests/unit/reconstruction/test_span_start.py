@@ -1,4 +1,4 @@
-"""What the training of a span begins with."""
+"""The start of the training of a span."""
 
 from types import SimpleNamespace
 from typing import Any
