@@ -58,7 +58,7 @@ class OffsetError(ServiceError):
 
 
 class UploadSizeError(ServiceError):
-    """An upload is longer than it may be, or than it was said to be."""
+    """An upload is longer than it may be, or not as long as it was said to be."""
 
 
 class UploadDiskError(ServiceError):

@@ -52,8 +52,8 @@ class _Server(uvicorn.Server):
         self._app = app
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """End the streams, then everything."""
-        self._app.state.services.hub.close()
+        """Tell the worker to stop and end the streams, then everything: all of it together is given 30 s."""
+        self._app.state.services.begin_close()
         await super().shutdown(sockets)
 
 

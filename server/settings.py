@@ -8,7 +8,15 @@ import tempfile
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from rigs.errors import Spike4dgsError
@@ -74,6 +82,12 @@ def _collector(address: str) -> str:
     return address.rstrip("/")
 
 
+def _folder(path: object) -> object:
+    if path == "":  # which would be the current one
+        raise ValueError("found no name, expected that of a folder")
+    return path
+
+
 def _postgresql(url: str) -> str:
     if not url.startswith("postgresql://"):
         raise ValueError("found another scheme, expected postgresql://USER@HOST/NAME or nothing for SQLite")
@@ -117,10 +131,10 @@ class ServiceSettings(BaseSettings):
 
     model_config = SettingsConfigDict(env_prefix="SPIKE4DGS_", frozen=True)
 
-    data: Annotated[Path, AfterValidator(Path.absolute)] = Path(".spike4dgs")
+    data: Annotated[Path, BeforeValidator(_folder), AfterValidator(Path.absolute)] = Path(".spike4dgs")
     database: Annotated[str, AfterValidator(_postgresql)] | None = None
     host: Annotated[str, AfterValidator(_address)] = "127.0.0.1"
-    port: int = 8000
+    port: int = Field(default=8000, ge=0, le=65535)
     hosts: Annotated[tuple[Annotated[str, AfterValidator(_host_name)], ...], *_LISTED] = ()
     origins: Annotated[tuple[Annotated[str, AfterValidator(_origin)], ...], *_LISTED] = ()
     body_bytes: int = Field(default=2**20, ge=1)
@@ -144,6 +158,12 @@ class ServiceSettings(BaseSettings):
     keep_upload_days: float = Field(default=7.0, gt=0, le=36_500, allow_inf_nan=False)
     keep_days: Annotated[float | None, Field(gt=0, le=36_500, allow_inf_nan=False)] = None
     locks: Path = Path(tempfile.gettempdir()) / "spike4dgs-locks"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_empty(cls, given: dict[str, object]) -> dict[str, object]:
+        """Leave out what would be JSON and is empty: Compose hands a variable on that is set to nothing."""
+        return {name: value for name, value in given.items() if value != "" or name not in ("rigs", "stage_command")}
 
     @property
     def exposed(self) -> bool:

@@ -15,7 +15,7 @@ from acquisition.progress import Progress, part, silent
 from acquisition.recording.flip import suspected_flip
 from acquisition.recording.manifest import CameraFile, Conversion, Manifest, block_planes_of, note_bytes
 from acquisition.recording.stream_writer import StreamWriter
-from acquisition.recording.writer import RecordingWriter
+from acquisition.recording.writer import MARGIN_BYTES, DiskUse, RecordingWriter
 from acquisition.spikes import m1k40
 from acquisition.spikes.layout import BitOrder, PlaneLayout, RowOrder
 from acquisition.spikes.packing import counts
@@ -38,7 +38,8 @@ class ImportOptions:
     `size` (width, height) is needed where the cameras' file has none. With `poses` None a RIG.toml keeps its own flag
     and other poses count as calibrated. `allow_partial` drops the bytes beyond the last whole plane; the manifest says
     so. The `format` is `vidar` (rows of pixels alone), `vidar416` (16 bits behind each row) or `m1k40` (segments with
-    trailers, which fix size and orders). Orders that are None are lsb and bottom.
+    trailers, which fix size and orders). Orders that are None are lsb and bottom. At least `keep_free_bytes`
+    of the disk stay free.
     """
 
     tick_rate_hz: float
@@ -48,6 +49,7 @@ class ImportOptions:
     row_order: RowOrder | None = None
     allow_partial: bool = False
     format: SourceFormat = "vidar"
+    keep_free_bytes: int = MARGIN_BYTES
 
     def __post_init__(self) -> None:
         if self.format not in FORMATS:
@@ -90,7 +92,8 @@ def import_recording(
     streams = {camera_id: _since(camera_id, stream, began) for camera_id, stream in streams.items()}
     total = sum(len(stream) * stream.layout.plane_bytes for stream in streams.values())
     notes = sum(note_bytes(len(stream), stream.layout) for stream in streams.values())
-    with RecordingWriter(out, rig, total + notes) as recording:
+    use = DiskUse(total + notes, max(options.keep_free_bytes, MARGIN_BYTES))
+    with RecordingWriter(out, rig, use) as recording:
         done, entries = 0, []
         for camera_id, stream in streams.items():
             progress(done / total, camera_id)

@@ -3,7 +3,8 @@
 import hashlib
 from pathlib import Path
 
-from server.calls.transport import Transport
+from server.calls.transport import Transport, at_rig
+from server.errors import UploadSizeError
 from server.schemas.captures import Capture, CaptureRequest, Captures, ImportRequest, Labels, ManifestInfo
 from server.schemas.pictures import CaptureFigures
 from server.schemas.uploads import Inspection, LayoutAsked, Upload, UploadRequest, Uploads
@@ -16,15 +17,15 @@ class CaptureCalls(Transport):
 
     def start_capture(self, rig_id: str, request: CaptureRequest) -> Capture:
         """Record."""
-        return self._post(f"/rigs/{rig_id}/captures", Capture, request)
+        return self._post(f"{at_rig(rig_id)}/captures", Capture, request)
 
     def stop_capture(self, capture: Capture) -> Capture:
         """End a recording and keep what it has."""
-        return self._post(f"/rigs/{capture.rig}/captures/{capture.id}/stop", Capture)
+        return self._post(f"{at_rig(str(capture.rig))}/captures/{capture.id}/stop", Capture)
 
     def save_capture(self, capture: Capture) -> Capture:
         """Keep what the pre-trigger holds, and record on from there."""
-        return self._post(f"/rigs/{capture.rig}/captures/{capture.id}/save", Capture)
+        return self._post(f"{at_rig(str(capture.rig))}/captures/{capture.id}/save", Capture)
 
     def captures(self, **filters: str | int) -> list[Capture]:
         """List captures, newest first; filters: `rig`, `name`, `status`, `q`, `cursor`, `limit`."""
@@ -106,7 +107,10 @@ class CaptureCalls(Transport):
         self._send("DELETE", f"/uploads/{upload_id}")
 
     def send_file(self, path: Path, upload_id: str | None = None) -> Upload:
-        """Upload a file and commit it; `upload_id` names an interrupted upload to go on with."""
+        """Upload a file and commit it; `upload_id` names an interrupted upload to go on with.
+
+        Raises UploadSizeError where the file is shorter than that upload.
+        """
         with path.open("rb") as file:
             if upload_id is None:
                 sha256 = hashlib.file_digest(file, "sha256").hexdigest()
@@ -116,5 +120,10 @@ class CaptureCalls(Transport):
                 upload = self.upload(upload_id)
             while upload.offset < upload.bytes:
                 file.seek(upload.offset)
-                upload = self.append(upload.id, file.read(_PIECE_BYTES), upload.offset)
+                piece = file.read(_PIECE_BYTES)
+                if not piece:
+                    found = f"found {path} to end at byte {path.stat().st_size}"
+                    expected = f"the {upload.bytes} bytes of {upload.id}"
+                    raise UploadSizeError(found, expected, "give the file that the upload was begun with")
+                upload = self.append(upload.id, piece, upload.offset)
         return self.commit_upload(upload.id)

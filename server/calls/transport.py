@@ -4,6 +4,7 @@ import time
 import uuid
 from collections.abc import Generator
 from typing import Any, TypeVar
+from urllib.parse import quote
 
 import httpx
 from pydantic import BaseModel
@@ -65,5 +66,19 @@ class Transport:
     @staticmethod
     def _checked(response: httpx.Response) -> httpx.Response:
         if response.is_error:
-            raise RefusedError(response.status_code, response.json()["detail"])
+            raise RefusedError(response.status_code, _detail(response))
         return response
+
+
+def at_rig(rig_id: str) -> str:
+    """Return the address of a rig, whose name may have characters that mean something in addresses."""
+    return f"/rigs/{quote(rig_id, safe='')}"
+
+
+def _detail(response: httpx.Response) -> str:
+    """Return the detail of a problem document, or the status of an answer that is of a proxy or the bare server."""
+    try:
+        return str(response.json()["detail"])
+    except (ValueError, TypeError, KeyError):
+        found = f"found the answer {response.status_code} {response.reason_phrase}".strip()
+        return f"{found}, expected one of the service; look whether it runs"

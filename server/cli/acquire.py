@@ -21,7 +21,7 @@ from acquisition.session.record import Take, record, simulate
 from acquisition.spikes.sensor import SENSOR_KINDS
 from acquisition.spikes.traits import Traits
 from server.cli.operator import operator_control
-from server.cli.options import PATH, json_option, load_named_rig, new_recording, numbers_of, parse_size
+from server.cli.options import PATH, json_option, keep_free, load_named_rig, new_recording, numbers_of, parse_size
 from server.cli.output import answer, warn
 from server.cli.progress import progress_of
 from server.cli.skews import began_by_light, skew_doubt
@@ -152,9 +152,7 @@ def simulate_command(
     metavar="MS",
     help="Keep the last MS ms in memory; Enter (a line on standard input) saves them and records on.",
 )
-@click.option(
-    "--keep-free", default=256, show_default=True, type=click.IntRange(min=0), help="MB of the disk to leave free."
-)
+@keep_free(256)
 @click.option("--threshold", type=click.IntRange(*THRESHOLDS), help="Charge of a spike, in thousandths of the nominal.")
 @click.option("--exposure", type=click.IntRange(*EXPOSURES), help="Part of a tick that gathers light, in thousandths.")
 @click.option(
@@ -179,7 +177,7 @@ def record_command(
     ticks: int | None,
     until_stopped: bool,
     pre_trigger_ms: float | None,
-    keep_free: int,
+    keep_free_bytes: int,
     threshold: int | None,
     exposure: int | None,
     rejoin_s: float,
@@ -197,7 +195,7 @@ def record_command(
     chosen = threshold is not None or exposure is not None
     sensitivity = Sensitivity(threshold or 1000, 1000 if exposure is None else exposure) if chosen else None
     with operator_control(saves=pre_trigger_ms is not None) as control:
-        take = Take(ticks, pre_trigger_ms, keep_free * 1_000_000, control, sensitivity, rejoin_s)
+        take = Take(ticks, pre_trigger_ms, keep_free_bytes, control, sensitivity, rejoin_s)
         try:
             manifest = record(load_named_rig(rig), devices, take, out, progress_of("record"))
         except IncompleteError:
@@ -225,6 +223,7 @@ _FORMATS_HELP = "Rows of pixels; rows with 16 more bits each; M1K40 segments, de
 @click.option("--row-order", type=click.Choice(["bottom", "top"]), help="The row stored first. [default: bottom]")
 @click.option("--allow-partial", is_flag=True, help="Drop an incomplete last plane, and record its size.")
 @click.option("--align", is_flag=True, help=_ALIGN_HELP)
+@keep_free(1)
 @new_recording
 @json_option
 def import_command(

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+import httpx
+from pydantic import ValidationError
 
 from acquisition.progress import silent
 from acquisition.scenes.catalog import DEVELOPMENT
@@ -61,17 +63,15 @@ def demo_command(
     out: Path | None, ticks: int, budget_s: float | None, steps: int | None, rig_error: float, **options: Any
 ) -> None:
     """Record the simulated rig through the service, and reconstruct the view of a camera that is held out."""
-    if steps is None and budget_s is None:
-        budget_s = BUDGET_S
+    to_record, to_do = _requests(ticks, budget_s, steps, options)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     folder = _new_folder(out)
     try:
         with _service(folder, f"{SCENE}?rig_error={rig_error}") as client:
             (rig,) = client.rigs()
-            capture = client.start_capture(rig.id, CaptureRequest(ticks=ticks, name="demo"))
+            capture = client.start_capture(rig.id, to_record)
             _follow(lambda: client.capture(capture.id))
-            wanted = {"holdout": HOLDOUT, "budget_s": budget_s, "steps": steps, **options}
-            job = client.submit(ReconstructRequest(capture=capture.id, **wanted))
+            job = client.submit(to_do.model_copy(update={"capture": capture.id}))
             job = _follow(lambda: client.job(job.id))
             metrics = json.loads(client.artefact(job.id, "metrics.json"))
     except KeyboardInterrupt:
@@ -83,6 +83,22 @@ def demo_command(
     run = folder / "jobs" / job.id / "run"
     seconds = ", ".join(f"{stage} {took:.1f} s" for stage, took in job.seconds.items())
     click.echo(f"\nstages: {seconds}\nreport: {run / 'report.html'}\norbit:  {run / 'orbit.mp4'}")
+
+
+def _requests(
+    ticks: int, budget_s: float | None, steps: int | None, choices: dict[str, Any]
+) -> tuple[CaptureRequest, ReconstructRequest]:
+    """Return the recording and the reconstruction, of a capture to be named; raises UsageError where they cannot be."""
+    if steps is not None and budget_s is not None:
+        raise click.UsageError("found both --budget-s and --steps, expected at most one")
+    bound = BUDGET_S if steps is None and budget_s is None else budget_s
+    wanted = {"capture": "", "holdout": HOLDOUT, "budget_s": bound, "steps": steps, **choices}
+    try:
+        return CaptureRequest(ticks=ticks, name="demo"), ReconstructRequest.model_validate(wanted)
+    except ValidationError as error:
+        fault = error.errors(include_url=False)[0]
+        option = str(fault["loc"][0]).replace("_", "-")
+        raise click.UsageError(f"--{option}: found {fault['input']}; {fault['msg']}") from error
 
 
 def _follow(look: Callable[[], _W]) -> _W:
@@ -120,8 +136,11 @@ def _service(folder: Path, devices: str) -> Iterator[ServiceClient]:
             said = log.read_text().strip().splitlines()
             raise DemoError(f"the service did not start: {said[-1] if said else 'it said nothing'}")
         with ServiceClient.at(address) as client:
-            _await_worker(client, log)
-            yield client
+            try:
+                _await_worker(client, log)
+                yield client
+            except httpx.TransportError as error:
+                raise DemoError(f"found the service gone ({error})", "it at work", f"{log} says why") from error
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C must not leave anything running
         stop_process(service, _STOP_S)

@@ -25,6 +25,19 @@ def several(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return lambda command: functools.reduce(lambda made, option: option(made), reversed(options), command)
 
 
+def keep_free(megabytes: int) -> Callable[[Any], Any]:
+    """Return the option, `megabytes` by default, for the bytes of the disk that a recording leaves free."""
+    return click.option(
+        "--keep-free",
+        "keep_free_bytes",
+        default=megabytes,
+        show_default=True,
+        type=click.IntRange(min=0),
+        callback=lambda context, parameter, value: value * 1_000_000,
+        help="MB of the disk to leave free.",
+    )
+
+
 def numbers_of(kind: type) -> Callable[[Any], Any]:
     """Return the options for the numbers of a dataclass whose fields say `most` and `about` in their metadata."""
     return several(

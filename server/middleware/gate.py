@@ -21,6 +21,7 @@ from server.store.tables import Token
 _MOST_CLIENTS = 10_000
 _READS = ("GET", "HEAD", "OPTIONS")
 OPEN = ("/v1/healthz",)  # a watchdog of the service has no token
+READY = "/v1/readyz"  # nor has one of its work, which is told whether it is ready and no more
 
 
 class Rates:
@@ -81,7 +82,9 @@ class Gate:
             if is_guarded(scope["path"]):
                 if self._access.stale:
                     await run_in_threadpool(self._access.refresh)
-                token = self._access.admit(method, Headers(scope=scope).get("authorization"))
+                given = Headers(scope=scope).get("authorization")
+                if given is not None or scope["path"] != READY:
+                    token = self._access.admit(method, given)
         finally:  # a refused request counts too
             rates = self._reads if method in _READS else self._writes
             if wait_s := rates.wait_s(f"token {token.id}" if token else address_of(scope)):

@@ -1,6 +1,6 @@
 // The operator's page: rigs, captures and jobs, kept up to date by events or by asking once a second.
 import { complain, onChange } from './operator/act.js';
-import { follow, get, learnRole, looksOn, post, request, setToken, token, wait } from './operator/api.js';
+import { follow, get, learnRole, looksOn, post, request, rigPath, setToken, token, wait } from './operator/api.js';
 import { learnCalibration } from './operator/calibrations.js';
 import { isFocusing } from './operator/cameras.js';
 import { capture } from './operator/captures.js';
@@ -25,8 +25,11 @@ const context = {
   entry: (id) => [...context.captures, ...context.jobs].find((one) => one.id === id),
   nameOf: (id) => context.names.get(id) ?? id ?? 'nothing',
   camerasOf: (item) => {
-    const id = item.rig ?? context.captures.find((one) => one.id === item.request?.capture)?.rig;
-    return (context.rigs.get(id) ?? [...context.rigs.values()][0])?.cameras.map((camera) => camera.id) ?? [];
+    const id = item.request?.capture ?? item.id;
+    const recorded = context.manifests.get(id)?.cameras; // the truth: an import may have any, and a rig others by now
+    if (recorded?.length) return recorded.map((camera) => camera.id);
+    const rig = item.rig ?? context.captures.find((one) => one.id === id)?.rig;
+    return (context.rigs.get(rig) ?? [...context.rigs.values()][0])?.cameras.map((camera) => camera.id) ?? [];
   },
   look, watch, tail,
 };
@@ -114,10 +117,19 @@ async function learnManifests() {
   const verified = context.jobs.filter((item) => item.type === 'verify' && results.ended(item)).map((item) => item.request.capture);
   const version = (id) => verified.filter((one) => one === id).length; // a later verification may have found damage
   const missing = context.captures.filter((item) => item.status === 'done' && context.manifests.get(item.id)?.at !== version(item.id));
-  for (const { id } of missing) context.manifests.set(id, { at: version(id), ...await get(`/captures/${id}/manifest`).catch(() => ({ cameras: [] })) });
+  for (const { id } of missing) context.manifests.set(id, await learnManifest(id, version(id)));
 }
 
-const learnStatus = async (id) => context.statuses.set(id, await get(`/rigs/${id}/status`).catch(() => context.statuses.get(id) ?? {}));
+// A manifest that cannot be read is asked for again, but not that of a recording which is damaged (409) and stays so.
+async function learnManifest(id, at) {
+  try {
+    return { at, ...await get(`/captures/${id}/manifest`) };
+  } catch (error) {
+    return { at: error.status === 409 ? at : undefined, fault: error.message, cameras: [] };
+  }
+}
+
+const learnStatus = async (id) => context.statuses.set(id, await get(`${rigPath(id)}/status`).catch(() => context.statuses.get(id) ?? {}));
 
 async function learnSlowly() {
   const ready = await get('/readyz').then(() => null, (error) => error.message);
@@ -143,7 +155,7 @@ function happened(event) {
 }
 
 async function look(id) {
-  const made = await post(`/rigs/${id}/look`);
+  const made = await post(`${rigPath(id)}/look`);
   for (let tries = 0; made?.id && tries < 60; tries += 1) {
     const found = await get(`/jobs/${made.id}`);
     if (found.status === 'failed') throw new Error(found.error ?? 'the look failed');

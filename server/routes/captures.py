@@ -19,7 +19,7 @@ router = APIRouter(tags=["captures"])
 @router.get("/captures", response_model=Captures)
 def list_captures(
     services: TheServices,
-    rig: parameters.Word = None,
+    rig: parameters.Named = None,
     name: parameters.Named = None,
     status: Status | None = None,
     q: parameters.Searched = None,

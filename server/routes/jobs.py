@@ -47,7 +47,7 @@ def submit_batch(request: BatchRequest, services: TheServices, key: IdempotencyK
 def list_jobs(
     services: TheServices,
     type: parameters.Word = None,
-    rig: parameters.Word = None,
+    rig: parameters.Named = None,
     capture: parameters.Word = None,
     name: parameters.Named = None,
     status: Status | None = None,

@@ -44,14 +44,20 @@ def get_health() -> dict[str, bool]:
 
 
 @router.get("/readyz", response_model=dict[str, Check])
-def get_readiness(services: TheServices) -> dict[str, Check] | JSONResponse:
-    """Tell whether a job would run: database, disk and worker. 503 if one of them is not ready."""
+def get_readiness(request: Request, services: TheServices) -> dict[str, Check] | JSONResponse:
+    """Tell whether a job would run: database, disk and worker. 503 if one of them is not ready.
+
+    A request without the token that all others need is told the status alone.
+    """
     checks = services.health.checks()
     faults = [f"{name}: {check.found}" for name, check in checks.items() if not check.ok]
+    stranger = services.access.guards and request.state.token is None
+    if faults and stranger:
+        return problem(503, "not ready", "not-ready")
     if faults:
         found = {name: check.model_dump() for name, check in checks.items()}
         return problem(503, "; ".join(faults), "not-ready", checks=found)
-    return checks
+    return {} if stranger else checks
 
 
 @metrics_router.get("/metrics", response_class=PlainTextResponse)

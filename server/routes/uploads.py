@@ -6,6 +6,7 @@ from fastapi import APIRouter, Header, Query, Request, Response
 
 from acquisition.recording.importing import SourceFormat
 from acquisition.spikes.layout import BitOrder, RowOrder
+from server.errors import UnknownReferenceError
 from server.routes.parameters import (
     MAKES_ROOM,
     PNG,
@@ -74,6 +75,8 @@ async def append_to_upload(
 def inspect_upload(upload_id: str, services: TheServices, width: Side = None, height: Side = None) -> Inspection:
     """Tell which layouts an upload may have, as soon as some of it has come, of a size or of those that are known."""
     size = (width, height) if width is not None and height is not None else None
+    if size is None and (width is not None or height is not None):
+        raise UnknownReferenceError("found one of width and height", "both, or none")
     return services.inspections.inspection(upload_id, size)
 
 

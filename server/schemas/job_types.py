@@ -13,10 +13,9 @@ from reconstruction.export.catalogue import FORMATS
 from reconstruction.images.catalogue import GIVEN
 from reconstruction.run.configuration import CHOICES, RANDOM, STAGES
 from reconstruction.run.spans import LEAST
-from server.schemas.captures import Name
+from server.schemas.captures import CameraKey, Name
 from server.schemas.progress import Request, example
 
-CameraId = Annotated[str, Field(pattern=r"^cam\d\d$")]
 EntryId = Annotated[str, Field(max_length=40)]
 
 
@@ -102,8 +101,8 @@ class ReconstructRequest(OfCapture):
     pixels: Annotated[str, _choice("pixels")] = "auto"
     gains: Annotated[str, _choice("gains")] = "auto"
     device: Annotated[str, _choice("device")] = "auto"
-    holdout: CameraId | None = None
-    views: Annotated[list[CameraId] | None, Field(min_length=2, max_length=100)] = None
+    holdout: CameraKey | None = None
+    views: Annotated[list[CameraKey] | None, Field(min_length=2, max_length=100)] = None
     tick_stride: Annotated[int | None, Field(ge=1, le=10_000)] = None
     span: Annotated[int | None, Field(ge=LEAST, le=10_000_000)] = None
     from_tick: Tick | None = None
@@ -205,7 +204,7 @@ class ExportRequest(OfJob):
     format: Annotated[str, OneOf([name for name, form in FORMATS.items() if form.served])]
     at_s: Annotated[float | None, Field(ge=0, le=1e6, allow_inf_nan=False)] = None
     frames: Annotated[int | None, Field(ge=1, le=1000)] = None
-    camera: CameraId | None = None
+    camera: CameraKey | None = None
     from_tick: Tick | None = None
     to_tick: Tick | None = None
 

@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict
 Status = Literal["queued", "running", "done", "failed", "cancelled"]
 ACTIVE: tuple[Status, ...] = ("queued", "running")
 ENDED: tuple[Status, ...] = tuple(status for status in get_args(Status) if status not in ACTIVE)
+WITH_ERROR: tuple[Status, ...] = ("done", "failed")  # else an error is of an attempt before the one that is on its way
 Item = TypeVar("Item")
 
 

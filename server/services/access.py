@@ -30,6 +30,11 @@ class AccessService:
         """Return whether the next answer needs the database."""
         return self._read_at is None or self._clock() - self._read_at >= _FRESH_S
 
+    @property
+    def guards(self) -> bool:
+        """Return whether a request needs a token: as soon as there is any, and where others reach the service."""
+        return bool(self._known) or self._exposed
+
     def refresh(self) -> None:
         """Read the tokens again, where that is due."""
         with self._lock:
@@ -44,7 +49,7 @@ class AccessService:
         A token is needed as soon as there is any, and always where the service may be reached from elsewhere. Raises
         UnauthorizedError without a known one, and ForbiddenError where a viewer would change something.
         """
-        if not self._known and not self._exposed:
+        if not self.guards:
             return None
         token = self._find(authorization or "")
         if token.role != "operator" and method not in _READS:

@@ -22,6 +22,8 @@ from server.store.rig_files import fitted
 from server.store.store import Store
 from server.store.tables import Entry
 
+_MOST_CAMERA_BYTES = 16 << 20  # of a file that is read whole
+
 
 class Admission:
     """Checks the requests for jobs of a service."""
@@ -56,6 +58,9 @@ class Admission:
                 self._check_rig(request, target)
         if isinstance(request, RenderRequest):
             upload = self._store.uploads.committed(request.cameras)
+            if upload.bytes > _MOST_CAMERA_BYTES:
+                expected = f"a transforms.json of at most {_MOST_CAMERA_BYTES}"
+                raise UnknownReferenceError(f"found {upload.bytes} bytes of cameras", expected)
             frames_to_render(self._store.folder.upload(upload.id) / "data")
         return target
 

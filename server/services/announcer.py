@@ -4,7 +4,7 @@ import time
 from datetime import datetime
 
 from server.engine import Engine
-from server.schemas.progress import ACTIVE, Status
+from server.schemas.progress import ACTIVE, WITH_ERROR, Status
 from server.services.queue import Queue
 from server.services.repeated import Repeated
 from server.services.retention import Retention
@@ -48,7 +48,9 @@ class Announcer:
 
     def _tell(self, entry: Entry, before: str, now: Status) -> None:
         """Announce, and look again after an end: the entry may have been queued again while it was announced."""
-        while self._store.events.tell(entry.id, before, now, {"error": entry.progress.get("error")}) is not None:
+        error = entry.progress.get("error")
+        told = self._store.events.tell
+        while told(entry.id, before, now, {"error": error if now in WITH_ERROR else None}) is not None:
             latest = self._engine.status(entry)
             if now in ACTIVE or latest == now:
                 return

@@ -10,7 +10,7 @@ from server.errors import NotFoundError, RigBusyError, StateError, UnknownRefere
 from server.schemas.captures import NEVER_BEGUN, Capture, CaptureRequest, Labels
 from server.schemas.progress import ACTIVE, Progress, Status
 from server.schemas.rigs import RigInfo, Rigs
-from server.services.listing import Document, Found, capture_document, page_of
+from server.services.listing import Document, Found, capture_document, page_of, without_old_error
 from server.services.queue import Key, Queue
 from server.services.space import Space
 from server.settings import RigSource
@@ -74,9 +74,11 @@ class RigService:
     def add_where_idle(self, entry: Entry, wanted: int = 0) -> None:
         """Queue an entry that uses its rig's cameras and `wanted` bytes of the disk.
 
-        Raises RigBusyError while anything else uses them, and NoRoomError.
+        Raises RigBusyError while anything else uses them, and NoRoomError. One that is there already stays as it is.
         """
         with self._one_at_a_time:
+            if self._queue.known(entry.id):  # the same request came twice at once
+                return
             busy = self._engine.active(entry.queue or "")
             if busy is not None:
                 raise RigBusyError(f"found rig {entry.rig} busy with {busy}", "it idle", "wait for that to end")
@@ -97,7 +99,7 @@ class CaptureService:
         entry = self._store.entries.get("capture", capture_id)
         status = self._engine.status(entry)
         asked = {name: entry.request.get(name) for name in ("ticks", "pre_trigger_ms")}
-        known = {"status": status, "partial_planes": self._left(entry, status)}
+        known = {"status": status, "partial_planes": self._left(entry, status)} | without_old_error(status)
         return Capture.model_validate(vars(entry) | entry.progress | asked | known)
 
     def page(self, wanted: Filter, status: Status | None = None, limit: int = 100) -> bytes:

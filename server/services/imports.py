@@ -1,6 +1,7 @@
 """Captures made of uploads: checked before they are queued, and imported by a worker."""
 
 import shutil
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,10 +11,11 @@ from rigs.exchange.cameras import load_cameras
 from rigs.rig import Rig
 from rigs.toml import GRID_ID, dump_rig, load_rig
 from server.engine import TASKS
-from server.errors import UnknownReferenceError, referred
+from server.errors import NoRoomError, UnknownReferenceError, referred
 from server.schemas.captures import ImportRequest, OfRig
 from server.services.captures import RigService
 from server.services.queue import Key, Queue
+from server.services.space import Space
 from server.services.uploads import UploadService
 from server.store.store import Store
 
@@ -23,25 +25,30 @@ _MOST_CAMERA_BYTES = 16 << 20
 class ImportService:
     """Imports: an entry of its own keeps the cameras' file as it was when it was asked for."""
 
-    def __init__(self, store: Store, queue: Queue, uploads: UploadService, rigs: RigService) -> None:
+    def __init__(self, store: Store, queue: Queue, uploads: UploadService, rigs: RigService, space: Space) -> None:
         self._store = store
         self._queue = queue
         self._uploads = uploads
         self._rigs = rigs
+        self._space = space
+        self._one_at_a_time = threading.Lock()
 
     def start(self, request: ImportRequest, key: Key = None) -> str:
         """Queue an import; return its id.
 
         Raises UnknownReferenceError for something that does not exist or does not fit, StateError for an upload that is
-        not committed, RigError for cameras that cannot be used.
+        not committed, RigError for cameras that cannot be used, NoRoomError.
         """
-        capture_id, known = self._queue.once("capture", request, key, "captures:import")
-        if known:
-            return capture_id
+        (capture_id,) = self._queue.ids("capture", [request], key, "captures:import")
+        with self._one_at_a_time:  # the same request may come twice at once
+            if not self._queue.known(capture_id):
+                self._add(capture_id, request)
+        return capture_id
+
+    def _add(self, capture_id: str, request: ImportRequest) -> None:
         names = list(request.uploads) if isinstance(request.uploads, dict) else None
         ids = list(request.uploads.values() if isinstance(request.uploads, dict) else request.uploads)
-        for upload_id in ids:
-            self._store.uploads.committed(upload_id)
+        wanted = sum(self._store.uploads.committed(upload_id).bytes for upload_id in ids)
         if len(set(ids)) < len(ids):
             raise UnknownReferenceError("found an upload twice", "one for each camera")
         folder = self._store.folder.entry(capture_id)
@@ -53,8 +60,12 @@ class ImportService:
         rig_id = request.cameras.rig if isinstance(request.cameras, OfRig) else None
         entry = self._queue.entry("capture", capture_id, request, type="import", rig=rig_id, queue=TASKS)
         asked = {name: value for name, value in entry.request.items() if name != "uploads"}
-        self._queue.add(replace(entry, request=asked | {"dats": ids, "ids": names, "cameras": cameras.name}))
-        return capture_id
+        try:
+            with self._space.promised(wanted):
+                self._queue.add(replace(entry, request=asked | {"dats": ids, "ids": names, "cameras": cameras.name}))
+        except NoRoomError:
+            self._store.folder.remove(folder)
+            raise
 
     def _cameras(self, request: ImportRequest, folder: Path) -> Path:
         """Copy the cameras' file into the entry's folder, and read it once to see that it fits; return its path."""

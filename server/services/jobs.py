@@ -10,8 +10,9 @@ from server.schemas.jobs import Job, Jobs, Order, Steps
 from server.schemas.progress import ACTIVE, ENDED, Status
 from server.services.admission import Admission
 from server.services.forecast import Forecast, Outlook
-from server.services.listing import Document, Found, is_resumable, job_document, page_of
+from server.services.listing import Document, Found, is_resumable, job_document, page_of, without_old_error
 from server.services.queue import Key, Queue
+from server.services.results import refuse_too_many
 from server.services.work_order import page_in_work_order
 from server.store.entries import Filter
 from server.store.store import Store
@@ -110,7 +111,8 @@ class JobService:
                 f"found the stage {stage}", f"one that {job_id} has begun: {', '.join(begun) or 'none yet'}"
             )
         attempt = (entry.restart or {}).get("attempt", 0) + 1
-        progress = entry.progress | {"warnings": []}  # those of stages that are kept come again
+        # Warnings of stages that are kept come again.
+        progress = entry.progress | {"stage": stage, "fraction": 0.0, "message": "", "warnings": []}
         self._store.entries.change(job_id, restart={"stage": stage, "attempt": attempt}, progress=progress)
         return self._again(entry, stage)
 
@@ -152,6 +154,8 @@ class JobService:
 
     def _entry(self, job_id: str, request: JobBase, waits: bool) -> Entry:
         target = self._admission.target(request, waits=waits)
+        if not waits:
+            refuse_too_many(self._store.folder, request, target)
         kind = request.model_dump()["type"]
         return self._queue.entry(
             "job",
@@ -167,5 +171,5 @@ class JobService:
 def _job(entry: Entry, status: Status, outlook: Outlook) -> Job:
     request = (JOB_TYPES | RIG_JOB_TYPES)[entry.type].model_validate(entry.request)
     resumable = is_resumable(status, bad_input=entry.progress.get("bad_input", False))
-    known = {"status": status, "request": request, "resumable": resumable}
+    known = {"status": status, "request": request, "resumable": resumable} | without_old_error(status)
     return Job.model_validate(vars(entry) | entry.progress | known | outlook._asdict())

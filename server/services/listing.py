@@ -14,7 +14,7 @@ from pydantic_core import to_json
 
 from server.engine import Engine
 from server.schemas.job_types import JOB_TYPES, RIG_JOB_TYPES
-from server.schemas.progress import Progress, Status
+from server.schemas.progress import WITH_ERROR, Progress, Status
 from server.store.entries import Filter, Listed
 from server.store.store import Store
 
@@ -64,6 +64,11 @@ def capture_document(entry: Listed, status: Status) -> Document:
     return _shown(entry, status) | _length(entry.request)
 
 
+def without_old_error(status: Status) -> Document:
+    """Return the fields of progress that an entry of this status does not have: they are of an earlier attempt."""
+    return {} if status in WITH_ERROR else {"error": None, "bad_input": False}
+
+
 def is_resumable(status: Status, *, bad_input: bool) -> bool:
     """Return whether it may help to resume a job."""
     return status == "cancelled" or (status == "failed" and not bad_input)
@@ -71,7 +76,7 @@ def is_resumable(status: Status, *, bad_input: bool) -> bool:
 
 def _shown(entry: Listed, status: Status) -> Document:
     kept = {name: getattr(entry, name) for name in ("id", "type", "created", "rig", "name", "note")}
-    return _progress(entry.progress) | kept | {"status": status}
+    return _progress(entry.progress) | without_old_error(status) | kept | {"status": status}
 
 
 @lru_cache(_TEXTS)

@@ -123,10 +123,9 @@ class Queue:
 
     def remove(self, entry: Entry, *made: Path) -> None:
         """Forget an entry, and delete its log and the folders `made` for it."""
-        self._store.entries.remove(entry.id)  # first: what is kept and not queued is queued again
+        with self._store.folder.removing(*made, self._store.folder.entry(entry.id)):
+            self._store.entries.remove(entry.id)  # before the engine: what is kept and not queued is queued again
         self._engine.forget(entry.id)
-        for folder in (*made, self._store.folder.entry(entry.id)):
-            self._store.folder.remove(folder)
 
     def waits(self, entry: Entry) -> bool:
         """Return whether a job's capture is still being made, or has not begun where the job follows it.

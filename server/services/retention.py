@@ -1,6 +1,7 @@
 """Deletes what is old: reports of progress, keys, deliveries, the engine's own memory and, if asked for, old jobs."""
 
-from contextlib import suppress
+import logging
+from collections.abc import Callable
 
 from server.engine import Engine
 from server.errors import ServiceError
@@ -46,13 +47,11 @@ class Retention:
 
     def _delete_uploads(self, before: float) -> None:
         for upload in self._store.uploads.before(iso(before)):
-            with suppress(ServiceError):  # in use: its time will come
-                self._uploads.delete(upload.id)
+            _delete(self._uploads.delete, upload.id)
 
     def _delete_jobs(self, before: float) -> None:
         for job_id in self._store.events.ended_before(before):
-            with suppress(ServiceError):  # at work again, or in use: its time will come
-                self._jobs.delete(job_id)
+            _delete(self._jobs.delete, job_id)
 
     def _forget_deleted(self) -> None:
         known = self._engine.ended()
@@ -62,3 +61,13 @@ class Retention:
             for entry_id in page:
                 if entry_id not in kept:
                     self._engine.forget(entry_id)
+
+
+def _delete(delete: Callable[[str], None], found: str) -> None:
+    """Delete one thing; what is in use, or what the disk refuses to give up, stays until its time comes."""
+    try:
+        delete(found)
+    except ServiceError:
+        return
+    except OSError as error:  # the others are deleted all the same
+        logging.getLogger(__name__).warning("%s is not deleted: %s", found, error)

@@ -49,10 +49,11 @@ class Services:
         self.calibrations = CalibrationService(self.store, queue, self.rigs, self.jobs)
         self.artefacts = ArtefactService(self.store, self.engine)
         self.health = HealthService(settings, self.store, self.engine, keeper)
+        self.keeper = keeper
         self.watchdog = Watchdog(keeper)
         self.uploads = UploadService(self.store, queue, space, settings.max_upload_bytes, settings.keep_free_bytes)
         self.inspections = InspectionService(self.uploads, self.rigs)
-        self.imports = ImportService(self.store, queue, self.uploads, self.rigs)
+        self.imports = ImportService(self.store, queue, self.uploads, self.rigs, space)
         self.previews = PreviewService(self.store, self.engine)
         self.pictures = PictureService(self.store, self.engine, self.artefacts, self.previews)
         self.looks = LookService(self.store, self.rigs)
@@ -78,6 +79,12 @@ class Services:
         self.announcer.thread.start()
         self.webhooks.thread.start()
         self.watchdog.start()
+
+    def begin_close(self) -> None:
+        """Let the worker of this process end while requests under way are waited for, and end every stream."""
+        if self.keeper is not None:
+            self.keeper.stop()
+        self.hub.close()
 
     def close(self) -> None:
         """End that work, and let go of the databases."""

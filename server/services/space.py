@@ -1,8 +1,9 @@
-"""Promises the room on the disk to uploads and captures, so that what begins fits beside what has begun."""
+"""Promises the room on the disk to uploads, captures and imports: what begins fits beside what has begun."""
 
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from acquisition.recording.writer import partial_of
 from acquisition.spikes.layout import PlaneLayout
@@ -12,6 +13,7 @@ from server.store.store import Store
 from server.store.tables import Entry
 
 _SHORTEST_S = 0.1  # room for a recording whose length nobody knows
+_BLOCK = 512  # bytes that `stat` counts as one
 
 
 class Space:
@@ -39,18 +41,33 @@ class Space:
         return ticks * tick_bytes(described)
 
     def _to_come(self) -> int:
-        """Return the bytes that open uploads and captures under way were promised and have not filled yet."""
+        """Return the bytes that uploads, captures and imports under way were promised and have not taken yet."""
         received = self._store.folder.received
         uploads = (max(0, upload.bytes - received(upload.id)) for upload in self._store.uploads.open())
         return sum(uploads) + sum(self._unfilled(entry) for entry in self._store.entries.unfinished())
 
     def _unfilled(self, entry: Entry) -> int:
-        if entry.type != "record" or entry.rig not in self.rigs:
+        recording = self._store.folder.recording(entry.id)
+        if recording.exists():  # its end is not announced yet
             return 0
-        filled = sum(file.stat().st_size for file in partial_of(self._store.folder.recording(entry.id)).glob("*.dat"))
-        return max(0, self.recording_bytes(entry.rig, entry.request) - filled)
+        if entry.type == "import":
+            promised = sum(map(self._store.folder.received, entry.request.get("dats", ())))
+        elif entry.type == "record" and entry.rig in self.rigs:
+            promised = self.recording_bytes(entry.rig, entry.request)
+        else:
+            return 0
+        return max(0, promised - sum(map(_taken, partial_of(recording).glob("*.dat"))))
 
 
 def tick_bytes(rig: Rig) -> int:
     """Return the bytes that all cameras of a rig send in one tick."""
     return sum(PlaneLayout(camera.width, camera.height).plane_bytes for camera in rig.cameras)
+
+
+def _taken(file: Path) -> int:
+    """Return the bytes of the disk that a file has, those among them that a recorder has reserved and not filled."""
+    try:
+        stat = file.stat()
+    except FileNotFoundError:  # it has just got its name, or is being deleted
+        return 0
+    return max(stat.st_size, _BLOCK * stat.st_blocks)

@@ -7,7 +7,7 @@ from pathlib import Path
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
-from server.errors import DigestError, OffsetError, StateError, UploadSizeError
+from server.errors import DigestError, NotFoundError, OffsetError, StateError, UploadSizeError
 from server.schemas.uploads import Upload, UploadRequest, Uploads
 from server.services.queue import Key, Queue
 from server.services.space import Space
@@ -100,7 +100,10 @@ class UploadService:
         """Forget an upload and its bytes; raises NotFoundError, StateError while it is written or imported."""
         upload = self._store.uploads.get(upload_id)
         self._queue.expect_unused(upload_id)
-        with held(self.path(upload_id)):
+        try:
+            with held(self.path(upload_id)):
+                self._store.uploads.remove(upload.id)
+        except NotFoundError:  # its bytes are gone, and nobody can write to it
             self._store.uploads.remove(upload.id)
         self._store.folder.remove(self.path(upload_id).parent)
 

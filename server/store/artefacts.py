@@ -3,14 +3,14 @@
 import hashlib
 import mimetypes
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from server.store.records import Records
 from server.store.tables import StoredArtefact, artefacts
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*(/[A-Za-z0-9][A-Za-z0-9._-]*){0,3}")
-MOST = 5000  # files of one job; more belong into an archive
+MOST = 5000  # files of one job that can be listed
 _BINARY = "application/octet-stream"
 _TYPES = dict.fromkeys((".npy", ".npz", ".bin", ".ply", ".splat", ".spz"), _BINARY) | {
     ".glb": "model/gltf-binary",
@@ -28,23 +28,26 @@ class Artefacts(Records[StoredArtefact]):
         """Return all artefacts of a job, by name."""
         return self.select(artefacts.c.entry == entry_id, order=artefacts.c.name)
 
-    def catalogue(self, entry_id: str, folder: Path, names: Iterator[str]) -> None:
-        """Note the files `names` under `folder`; one that did not change is not read again."""
+    def catalogue(self, entry_id: str, folder: Path, names: Iterable[str]) -> int:
+        """Note the first `MOST` of the files `names` under `folder`, and return how many there are.
+
+        One that did not change is not read again.
+        """
         known = {artefact.name: artefact for artefact in self.of(entry_id)}
-        found = [described(entry_id, folder / name, name, known.get(name)) for name in names]
+        given = list(names)
+        found = [described(entry_id, folder / name, name, known.get(name)) for name in given[:MOST]]
         with self._engine.begin() as connection:
             connection.execute(artefacts.delete().where(artefacts.c.entry == entry_id))
             if found:
                 connection.execute(artefacts.insert(), [vars(artefact) for artefact in found])
+        return len(given)
 
 
 def plain_files(folder: Path) -> Iterator[str]:
-    """Yield the names of files under a folder that may be handed out: no link, nothing hidden, at most `MOST`."""
-    count = 0
+    """Yield the names of files under a folder that may be handed out: no link, nothing hidden."""
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
-        if count < MOST and NAME.fullmatch(name) and is_plain(folder, name):
-            count += 1
+        if NAME.fullmatch(name) and is_plain(folder, name):
             yield name
 
 

@@ -16,7 +16,7 @@ class Disk:
 
     def __init__(self, folder: Path, keep_free: int) -> None:
         self._folder = folder
-        self._keep_free = keep_free
+        self.keep_free = keep_free
         self._reserve = folder / "reserve"
         self._reserve_bytes = min(_RESERVE_BYTES, shutil.disk_usage(folder).total // _MOST)
         self._lock = threading.Lock()
@@ -24,7 +24,7 @@ class Disk:
 
     def free(self) -> int:
         """Return the bytes that work may fill, at least 0."""
-        return max(0, shutil.disk_usage(self._folder).free - self._keep_free)
+        return max(0, shutil.disk_usage(self._folder).free - self.keep_free)
 
     def keep_reserve(self) -> None:
         """Take the reserve, where it is not taken yet and there is room for it."""
@@ -40,9 +40,9 @@ class Disk:
     def making_room(self) -> Iterator[None]:
         """Give up the reserve for the block where the disk is full: even a deletion is written to a database first."""
         with self._lock:
-            self._making_room += 1
             if shutil.disk_usage(self._folder).free < self._reserve_bytes:
                 self._reserve.unlink(missing_ok=True)
+            self._making_room += 1  # once the disk has answered
         try:
             yield
         finally:

@@ -12,7 +12,9 @@ DATA/reserve                              room that is given up where the disk i
 """
 
 import fcntl
+import json
 import os
+import re
 import shutil
 import tempfile
 import time
@@ -28,6 +30,7 @@ class DataFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._place = _place_of(path)
         for name in ("captures", "jobs", "entries", "rigs", "uploads"):
             (path / name).mkdir(parents=True, exist_ok=True)
 
@@ -39,7 +42,7 @@ class DataFolder:
 
     def hidden(self, text: str) -> str:
         """Return a text that others may read: names inside the folder, and not where it lies on this machine."""
-        return text.replace(f"{self.path}/", "").replace(str(self.path), "the data folder")
+        return self._place.sub(lambda found: "" if found[1] else "the data folder", text)
 
     def parts(self, entry_id: str) -> Path:
         """Return the folder whose flock the processes of a training's parts share, made where it is missing."""
@@ -107,11 +110,39 @@ class DataFolder:
 
     def remove(self, folder: Path) -> None:
         """Delete a folder, which leaves its place at once, whatever its size."""
-        if not folder.exists():
-            return
+        if folder.exists():
+            with self.removing(folder):
+                pass
+
+    @contextmanager
+    def removing(self, *folders: Path) -> Iterator[None]:
+        """Delete folders: they leave their places before the block, and have them back where it raises.
+
+        Those of a process that is killed meanwhile lie where `sweep` looks.
+        """
         aside = Path(tempfile.mkdtemp(prefix=_REMOVED, dir=self.path))
-        folder.rename(aside / folder.name)
+        moved: dict[Path, Path] = {}
+        try:
+            for number, folder in enumerate(folders):
+                with suppress(FileNotFoundError):  # there is none, or another request was faster
+                    there = folder.rename(aside / str(number))
+                    moved[there] = folder
+            yield
+        except BaseException:
+            for there, folder in moved.items():
+                there.rename(folder)
+            aside.rmdir()
+            raise
         shutil.rmtree(aside)
+
+
+def _place_of(path: Path) -> re.Pattern[str]:
+    """Return the pattern of a path as texts and JSON have it, with a slash behind it or none.
+
+    It does not fit the end of another path, nor the beginning of a longer name. In JSON a line break is `\\n`.
+    """
+    names = "|".join(map(re.escape, dict.fromkeys((str(path), json.dumps(str(path))[1:-1]))))
+    return re.compile(rf"(?:(?<![\w.~-])|(?<=\\[nrt]))(?:{names})(?:(/)|(?![\w-]|\.\w))")
 
 
 def make_private(folder: Path) -> None:

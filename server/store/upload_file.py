@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from server.errors import OffsetError, StateError, UploadDiskError, UploadSizeError
+from server.errors import NotFoundError, OffsetError, StateError, UploadDiskError, UploadSizeError
 from server.store.files import locked
 
 _FREE_EVERY = 1 << 20  # bytes, at most, between two looks at the free disk
@@ -15,13 +15,21 @@ _FREE_EVERY = 1 << 20  # bytes, at most, between two looks at the free disk
 
 @contextmanager
 def held(path: Path) -> Iterator[int]:
-    """Open the file and hold its flock; yields the descriptor. Raises StateError where somebody else holds it."""
+    """Open the file and hold its flock; yields the descriptor.
+
+    Raises StateError where somebody else holds it, NotFoundError where the file is gone: a database that was put back
+    from a backup names uploads whose bytes are not in it.
+    """
     with ExitStack() as stack:
         try:
             descriptor = stack.enter_context(locked(path, os.O_RDWR | os.O_NOFOLLOW))
         except BlockingIOError as error:
             raise StateError(
                 f"found another request at work on the upload {path.parent.name}", "one at a time", "try again"
+            ) from error
+        except FileNotFoundError as error:
+            raise NotFoundError(
+                f"found no bytes of the upload {path.parent.name}", "those that came", "delete it and send them again"
             ) from error
         yield descriptor
 

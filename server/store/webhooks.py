@@ -2,6 +2,7 @@
 
 import base64
 import json
+import re
 import secrets
 
 import sqlalchemy as sa
@@ -12,6 +13,7 @@ from server.store.tables import Delivery, Event, StoredWebhook, deliveries, entr
 
 LEASE_S = 60.0  # after which another process may try what one that died was sending
 KEPT_S = 7 * 24 * 3600.0
+_ID = re.compile(r"w[0-9a-f]{16}")
 
 
 class Webhooks(Records[StoredWebhook]):
@@ -44,7 +46,8 @@ class Webhooks(Records[StoredWebhook]):
 
     def find(self, webhook_id: str) -> StoredWebhook | None:
         """Return one webhook, if it is there."""
-        return next(iter(self.select(webhooks.c.id == webhook_id)), None)
+        found = self.select(webhooks.c.id == webhook_id) if _ID.fullmatch(webhook_id) else []
+        return next(iter(found), None)
 
     def remove(self, webhook_id: str) -> None:
         """Forget a webhook and what it is still owed; raises NotFoundError."""

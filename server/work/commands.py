@@ -8,10 +8,16 @@ from reconstruction.export.catalogue import FORMATS
 OVER_TIME = "frames", "camera", "from_tick", "to_tick"  # options of an export beside its instant
 
 
-def record_arguments(request: dict[str, Any], rig: str, devices: str, recording: Path) -> list[str]:
-    """Return the arguments of `spike4dgs` that make a recording; `rig` is a name in the catalogue or a RIG.toml."""
+def record_arguments(
+    request: dict[str, Any], rig: str, devices: str, recording: Path, keep_free_bytes: int | None = None
+) -> list[str]:
+    """Return the arguments of `spike4dgs` that make a recording; `rig` is a name in the catalogue or a RIG.toml.
+
+    It leaves `keep_free_bytes` of the disk free, None for as many as the command does by itself.
+    """
     options = {"pre_trigger_ms": "pre_trigger", "rejoin_s": "rejoin"}
     given = {options.get(name, name): value for name, value in request.items() if name != "until_stopped"}
+    given["keep_free"] = None if keep_free_bytes is None else _megabytes(keep_free_bytes)
     flags = ["--until-stopped"] if request.get("until_stopped") else []
     return ["record", "--rig", rig, "--devices", devices, *_flags(given), *flags, "--out", str(recording)]
 
@@ -65,13 +71,16 @@ def task_arguments(
     raise ValueError(request["type"])
 
 
-def import_arguments(request: dict[str, Any], dats: list[Path], cameras: Path, recording: Path) -> list[str]:
+def import_arguments(
+    request: dict[str, Any], dats: list[Path], cameras: Path, recording: Path, keep_free_bytes: int
+) -> list[str]:
     """Return the arguments of `spike4dgs` that make a recording of `.dat` files, named or in the rig's order."""
     names = request["ids"]
     files = [str(dat) if names is None else f"{names[number]}={dat}" for number, dat in enumerate(dats)]
     size = request["size"]
     options = {name: request[name] for name in ("format", "bit_order", "row_order", "poses")}
     options |= {"tick_rate": request["tick_rate_hz"], "size": "x".join(map(str, size)) if size else None}
+    options["keep_free"] = _megabytes(keep_free_bytes)
     flags = [f"--{name.replace('_', '-')}" for name in ("allow_partial", "align") if request[name]]
     given = ["--cameras", str(cameras), *_flags(options), *flags, "--out", str(recording)]
     return ["import", *(text for file in files for text in ("--dat", file)), *given]
@@ -93,3 +102,8 @@ def preflight_arguments(request: dict[str, Any], rig: str, devices: str, folder:
 def _flags(options: dict[str, Any]) -> list[str]:
     given = {name: value for name, value in options.items() if value is not None}
     return [text for name, value in given.items() for text in (f"--{name.replace('_', '-')}", str(value))]
+
+
+def _megabytes(count: int) -> int:
+    """Return bytes in whole megabytes, no fewer."""
+    return -(-count // 1_000_000)

@@ -38,8 +38,12 @@ class Keeper:
         try:
             yield
         finally:
-            self._stop.set()
+            self.stop()
             thread.join()
+
+    def stop(self) -> None:
+        """Let the process end in order, without waiting for it; it is not started again."""
+        self._stop.set()
 
     def _keep(self) -> None:
         log = logging.getLogger(__name__)

@@ -71,7 +71,7 @@ class Moments:
             await self._processes.run(
                 entry,
                 stage,
-                record_arguments(entry.request, rig, devices, recording),
+                record_arguments(entry.request, rig, devices, recording, self._store.disk.keep_free),
                 locks=[lock],
                 control=beginning.control,
                 is_due=beginning.is_now,

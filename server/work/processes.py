@@ -29,6 +29,11 @@ def is_full(error: OSError) -> bool:
     return error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
+def as_told(error: Exception, where: object) -> Exception:
+    """Return an error as people are told of it: of a full disk, that there is no room at `where`."""
+    return no_room(where) if isinstance(error, OSError) and is_full(error) else error
+
+
 def attempt_of_run(run: Path) -> int:
     """Return how often the stages of a run were forgotten to be run again, as it says itself."""
     return _told(run).get("attempt", 0)
@@ -90,8 +95,7 @@ class Processes:
                 environment=self._environment,
             )
         except (Spike4dgsError, OSError) as error:
-            full = isinstance(error, OSError) and is_full(error)
-            reporter.close(no_room(folder.path) if full else error)
+            reporter.close(as_told(error, folder.path))
             raise
         reporter.close()
 

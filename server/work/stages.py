@@ -17,7 +17,7 @@ from server.contact_sheet import camera_picture, contact_sheet, figures
 from server.errors import NotFoundError
 from server.settings import ServiceSettings
 from server.store import database
-from server.store.artefacts import is_plain, plain_files
+from server.store.artefacts import MOST, is_plain, plain_files
 from server.store.looks import keep_look
 from server.store.store import Store
 from server.store.tables import Entry
@@ -31,7 +31,7 @@ from server.work.commands import (
 )
 from server.work.moments import Moments
 from server.work.part_reporter import PARTS_SHARE, STAGE
-from server.work.processes import Processes, is_finished, is_full, no_room
+from server.work.processes import Processes, as_told, is_finished, is_full, no_room
 from server.work.reporter import Reporter
 from server.work.supervisor import BadInputError, StageError
 
@@ -110,14 +110,16 @@ class Stages:
         recording = self._folder.recording(entry.id)
         dats = [self._folder.upload(upload_id) / "data" for upload_id in entry.request["dats"]]
         cameras = self._folder.entry(entry.id) / entry.request["cameras"]
-        await self._moments.run_import(entry, stage, import_arguments(entry.request, dats, cameras, recording))
+        arguments = import_arguments(entry.request, dats, cameras, recording, self._store.disk.keep_free)
+        await self._moments.run_import(entry, stage, arguments)
 
     async def _preflight(self, entry: Entry, stage: str) -> None:
         rig, devices, lock = self._rig(entry)
         out = self._fresh_out(entry)
         arguments = preflight_arguments(entry.request, rig, devices, self._folder.path / "captures")
-        await self.processes.run(entry, stage, arguments, locks=[lock], stdout=out / "result.json", repeats=True)
-        self._hide_paths(out)
+        with _telling(self._store, entry, stage):
+            await self.processes.run(entry, stage, arguments, locks=[lock], stdout=out / "result.json", repeats=True)
+            _hide_paths(self._store, out)
         self._store.artefacts.catalogue(entry.id, out, plain_files(out))
 
     async def _look(self, entry: Entry, stage: str) -> None:
@@ -126,13 +128,14 @@ class Stages:
         recording = self._folder.job(entry.id) / "recording"
         self._folder.remove(recording)
         try:
-            try:
-                arguments = look_arguments(entry.request, rig, devices, recording)
-                await self.processes.run(entry, stage, arguments, locks=[lock], repeats=True)
-            except StageError:
-                if not recording.exists():  # else a camera failed, and the others are worth seeing
-                    raise
-            await asyncio.to_thread(_keep_look, Recording.open(recording), out, lock)
+            with _telling(self._store, entry, stage):
+                try:
+                    arguments = look_arguments(entry.request, rig, devices, recording)
+                    await self.processes.run(entry, stage, arguments, locks=[lock], repeats=True)
+                except StageError:
+                    if not recording.exists():  # else a camera failed, and the others are worth seeing
+                        raise
+                await asyncio.to_thread(_keep_look, Recording.open(recording), out, lock)
         finally:
             self._folder.remove(recording)
         self._store.artefacts.catalogue(entry.id, out, plain_files(out))
@@ -149,17 +152,16 @@ class Stages:
     async def _task(self, entry: Entry, stage: str) -> None:
         is_finished = self.processes.finished(entry, stage).exists()
         out = self._folder.out(entry.id) if is_finished else self._fresh_out(entry)
-        try:
+        with _telling(self._store, entry, stage):
             arguments = self._arguments(entry, out)
             printed = out / "result.json" if "--json" in arguments else None
             await self.processes.run(entry, stage, arguments, stdout=printed)
-            self._hide_paths(out)
+            _hide_paths(self._store, out)
             if entry.type == "calibrate":
                 keep_calibration(self._store, entry, out)
-        except (Spike4dgsError, OSError) as error:
-            Reporter(self._store, entry.id, stage).close(error)
-            raise
-        self._store.artefacts.catalogue(entry.id, out, plain_files(out))
+        files = self._store.artefacts.catalogue(entry.id, out, plain_files(out))
+        if files > MOST:
+            _warn_of_many(self._store, entry, stage, files)
 
     def _arguments(self, entry: Entry, out: Path) -> list[str]:
         folder, request = self._folder, entry.request
@@ -187,12 +189,6 @@ class Stages:
         devices = mine.devices if mine else self._store.known_rigs.get(entry.rig).devices
         return str(calibrated if calibrated.exists() else drawn), devices, self._folder.rig(entry.rig)
 
-    def _hide_paths(self, out: Path) -> None:
-        """Say what a command printed without the place of the data folder: others read it."""
-        printed = out / "result.json"
-        if printed.exists():
-            write_durably(printed, self._folder.hidden(printed.read_text()).encode())
-
     def _fresh_out(self, entry: Entry) -> Path:
         """Return an empty folder for what a job makes, whatever an attempt that was interrupted left."""
         out = self._folder.out(entry.id)
@@ -201,8 +197,32 @@ class Stages:
         return out
 
 
+def _hide_paths(store: Store, out: Path) -> None:
+    """Say what a command printed without the place of the data folder: others read it."""
+    printed = out / "result.json"
+    if printed.exists():
+        write_durably(printed, store.folder.hidden(printed.read_text()).encode())
+
+
+@contextmanager
+def _telling(store: Store, entry: Entry, stage: str) -> Iterator[None]:
+    """Tell of an entry what fails in the block, which does more than run a process."""
+    try:
+        yield
+    except (Spike4dgsError, OSError) as error:
+        Reporter(store, entry.id, stage).close(as_told(error, store.folder.path))
+        raise
+
+
+def _warn_of_many(store: Store, entry: Entry, stage: str, files: int) -> None:
+    reporter = Reporter(store, entry.id, stage)
+    folder = f"jobs/{entry.id}/out of the data folder"
+    reporter.warn(f"{MOST} of {files} files are listed and can be fetched; all of them lie in {folder}")
+    reporter.close()
+
+
 @asynccontextmanager
-async def _catalogued(catalogue: Callable[[], None], *, meanwhile: bool) -> AsyncIterator[None]:
+async def _catalogued(catalogue: Callable[[], object], *, meanwhile: bool) -> AsyncIterator[None]:
     """Note in the end what a stage has made, and `meanwhile` every few seconds, also where one time fails."""
     over = asyncio.Event()
 

@@ -63,7 +63,7 @@ def _serve(settings: ServiceSettings, name: str, kinds: Sequence[str], stop: thr
     """Work until told to stop, or until the rigs are others and nothing is in hand."""
     store = Store(settings, pause=stop.wait)
     try:
-        rigs = _rigs(settings, store, stop) if "captures" in kinds else []
+        rigs = _rigs(settings, store, kinds, stop) if "captures" in kinds else []
         queues = [*map(capture_queue, rigs), *(name for name in (RECONSTRUCTIONS, TASKS) if name in kinds)]
         me = store.workers.enter(name, queues)
         stages, engine = Stages(settings, store), Engine(settings)
@@ -83,14 +83,19 @@ def _serve(settings: ServiceSettings, name: str, kinds: Sequence[str], stop: thr
         store.close()
 
 
-def _rigs(settings: ServiceSettings, store: Store, stop: threading.Event) -> list[str]:
-    """Return the rigs to record with: this worker's own or, where it names none, all that the service knows."""
+def _rigs(settings: ServiceSettings, store: Store, kinds: Sequence[str], stop: threading.Event) -> list[str]:
+    """Return the rigs to record with: this worker's own or, where it names none, all that the service knows.
+
+    A worker that does nothing else waits for the first one; any other begins without, and anew once there are some.
+    """
+    meanwhile = [kind for kind in kinds if kind != "captures"]
     waits = False
     while not (rigs := list(settings.own_rigs) or [rig.id for rig in store.known_rigs.all()]):
         if not waits:
-            logging.getLogger(__name__).warning("the worker waits for the service to name its rigs")
+            said = f"; it serves {', '.join(meanwhile)} meanwhile" if meanwhile else ""
+            logging.getLogger(__name__).warning("the worker waits for the service to name its rigs%s", said)
         waits = True
-        if stop.wait(_POLL_S):
+        if meanwhile or stop.wait(_POLL_S):
             break
     return rigs
 

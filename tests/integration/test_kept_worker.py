@@ -1,6 +1,7 @@
 """Tests that a worker which ends is started again, that this is said, and that it is given up when nothing helps."""
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -67,3 +68,21 @@ def test_a_service_starts_its_killed_worker_again_and_says_so(tmp_path) -> None:
             service.terminate()
         _, said = service.communicate(timeout=60)
     assert b"the worker ended with SIGKILL" in said
+
+
+@pytest.mark.slow
+def test_a_service_without_a_rig_has_a_worker_for_all_else(tmp_path) -> None:
+    command = [sys.executable, "-m", "server.cli", "serve", "--port", "0", "--data", str(tmp_path), "--with-worker"]
+    without = os.environ | {"SPIKE4DGS_RIGS": "{}"}
+    with subprocess.Popen(command, env=without, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as service:
+        assert service.stdout is not None
+        http = httpx.Client(base_url=service.stdout.readline().decode().strip(), trust_env=False)
+        try:
+            wait_for(lambda: http.get("/v1/readyz").status_code == 200)
+            (worker,) = http.get("/v1/workers").json()["items"]
+        finally:
+            http.close()
+            service.terminate()
+        _, said = service.communicate(timeout=60)
+    assert worker["queues"] == ["reconstructions", "tasks"]
+    assert b"waits for the service to name its rigs; it serves reconstructions, tasks meanwhile" in said

@@ -3,6 +3,7 @@
 import base64
 import hashlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from acquisition.spikes.layout import PlaneLayout
 from acquisition.spikes.packing import pack
 from acquisition.spikes.sensor import Sensor
 from rigs.toml import catalog_rig, dump_rig, load_rig
+from server.schemas.captures import Capture, ImportRequest
 
 pytestmark = BROWSER
 PREVIEWS = "(n) => [...document.querySelectorAll('.peek')].filter((one) => one.naturalWidth > 0).length === n"
@@ -231,3 +233,59 @@ def test_the_import_fits_and_can_be_read(
     assert page.evaluate(unnamed) == []
     page.click("#large-close")
     assert seen.faults == []
+
+
+def test_cameras_of_any_name_are_offered_and_scored_on(
+    service: Service, dats: list[Path], tmp_path: Path, open_page: Callable[..., Any], seen: Seen
+) -> None:
+    rig, names = catalog_rig("lab3x3"), ["left", "right", "top-1", "top-2"]
+    cameras = tuple(replace(camera, id=name) for camera, name in zip(rig.cameras, names, strict=False))
+    (tmp_path / "four.toml").write_text(dump_rig(replace(rig, cameras=cameras)))
+    sent = {name: service.client.send_file(path).id for name, path in zip(names, dats, strict=False)}
+    cameras_id = service.client.send_file(tmp_path / "four.toml").id
+    asked = {"uploads": sent, "cameras": cameras_id, "tick_rate_hz": 20_000, "name": "four"}
+    made = service.client.import_capture(ImportRequest.model_validate(asked))
+    wait_for(lambda: service.client.capture(made.id).status == "done")
+    page = open_page()
+    card = page.locator(f"#capture-{made.id}")
+    expect(card).to_contain_text("No plane lost")
+    card.get_by_role("button", name="Reconstruct…").click()
+    expect(page.locator("#option-holdout option")).to_have_text(["none", *names])
+    expect(page.locator("#option-holdout")).to_have_value("top-1")
+    page.locator("#option-holdout").select_option("left")
+    page.click("#dialog-go")
+    expect(page.locator("#dialog")).to_have_count(0)
+    (job,) = service.client.jobs(capture=made.id)
+    assert job.request.model_dump()["holdout"] == "left"
+    service.client.cancel(job.id)
+    assert seen.faults == []
+
+
+def test_a_recording_that_cannot_be_read_is_not_called_whole(
+    service: Service, capture: Capture, open_page: Callable[..., Any]
+) -> None:
+    busy, asked = [True], [0]
+
+    def answer(route: Any) -> None:
+        asked[0] += 1
+        if busy[0]:
+            route.fulfill(status=503, content_type="application/problem+json", body='{"detail": "found no time"}')
+        else:
+            route.continue_()
+
+    page = open_page(prepare=lambda page: page.route(f"**/v1/captures/{capture.id}/manifest", answer))
+    card = page.locator(f"#capture-{capture.id}")
+    expect(card.locator("p.failed")).to_have_text("What it holds cannot be told: found no time")
+    expect(card).not_to_contain_text("No plane lost")
+    busy[0] = False
+    expect(card).to_contain_text("No plane lost")
+    manifest = service.data / "captures" / capture.id / "recording.json"
+    manifest.rename(manifest.with_suffix(".away"))
+    page.reload()
+    expect(card.locator("p.failed")).to_contain_text(f"found the recording of {capture.id} damaged")
+    expect(card).not_to_contain_text("No plane lost")
+    known = asked[0]
+    page.get_by_label("Search").fill(capture.id)
+    expect(page.locator("#found")).to_contain_text("Found 1 capture")
+    assert asked[0] == known
+    manifest.with_suffix(".away").rename(manifest)

@@ -23,6 +23,9 @@ export async function request(path, { method = 'GET', body, headers, signal } = 
 
 export const get = async (path) => (await request(`/v1${path}`)).json();
 
+// The address of a rig: its name may have characters that mean something in addresses.
+export const rigPath = (id) => `/rigs/${encodeURIComponent(id)}`;
+
 export async function send(method, path, body, headers) {
   const response = await request(`/v1${path}`, { method, body, headers });
   return response.status === 204 ? null : response.json();

@@ -1,5 +1,5 @@
 // The calibration of a rig: the one in use, its quality, and the versions to go back to.
-import { get, post, request } from './api.js';
+import { get, post, request, rigPath } from './api.js';
 import { actions, button, jobDialog, opener, performed } from './act.js';
 import { ago, element, fold, quiet } from './dom.js';
 import { enlarging } from './media.js';
@@ -16,8 +16,8 @@ function inWords(found) {
 
 // Choose a version, unless somebody else has chosen one since this page asked.
 async function choose(rig, version) {
-  const current = await request(`/v1/rigs/${rig}/calibration`);
-  await request(`/v1/rigs/${rig}/calibration`, { method: 'PUT', body: { version }, headers: { 'If-Match': current.headers.get('ETag') ?? '*' } });
+  const current = await request(`/v1${rigPath(rig)}/calibration`);
+  await request(`/v1${rigPath(rig)}/calibration`, { method: 'PUT', body: { version }, headers: { 'If-Match': current.headers.get('ETag') ?? '*' } });
 }
 
 function versions(item, context, current) {
@@ -38,7 +38,7 @@ function calibrateDialog(heading, rig, captures, context) {
   const asked = { ...context.options.calibrate, required: ['from'],
     properties: { ...(captures.length > 1 && { from: named(captures) }), board, name, apply: { ...apply, default: true }, dark: named(finished(rig, context)), priority } };
   const submit = ({ from = captures[0], dark: without, ...values }) => performed(
-    () => post(`/rigs/${rig}/calibrations`, { ...(without ? { flat: from, dark: without } : { capture: from }), ...values }), 'The calibration is queued');
+    () => post(`${rigPath(rig)}/calibrations`, { ...(without ? { flat: from, dark: without } : { capture: from }), ...values }), 'The calibration is queued');
   jobDialog(heading, asked, [], submit);
 }
 
@@ -51,12 +51,12 @@ function calibrate(item, context) {
 }
 
 export async function learnCalibration(rig) {
-  const [current, { items }] = await Promise.all([get(`/rigs/${rig}/calibration`), get(`/rigs/${rig}/calibrations`)]);
+  const [current, { items }] = await Promise.all([get(`${rigPath(rig)}/calibration`), get(`${rigPath(rig)}/calibrations`)]);
   return { current, items };
 }
 
 function residuals(item, version) {
-  const path = `/v1/rigs/${item.id}/calibrations/${version}/picture`, label = `Residuals of calibration ${version}`;
+  const path = `/v1${rigPath(item.id)}/calibrations/${version}/picture`, label = `Residuals of calibration ${version}`;
   return enlarging(path, label, 'preview', () => openPictures(label, [{ path, label }]));
 }
 

@@ -1,5 +1,5 @@
 // The pictures of an array's cameras, large: all in their places, or one alone, with focus and light.
-import { get } from './api.js';
+import { get, rigPath } from './api.js';
 import { byId, element } from './dom.js';
 import { control, isLarge, openLarge } from './large.js';
 import { histogram, percent } from './light.js';
@@ -145,7 +145,7 @@ export function openLook(rig, context) {
     live.checked = mine.checked;
     context.watch(rig.id, mine.checked);
   };
-  open(lookKey(rig.id), `What the cameras of ${rig.name} see`, () => get(`/rigs/${rig.id}/look`), (camera, etag) => `/v1/rigs/${rig.id}/look/${camera}?of=${encodeURIComponent(etag)}`,
+  open(lookKey(rig.id), `What the cameras of ${rig.name} see`, () => get(`${rigPath(rig.id)}/look`), (camera, etag) => `/v1${rigPath(rig.id)}/look/${camera}?of=${encodeURIComponent(etag)}`,
     live ? [element('label', { className: 'check' }, mine, 'Live')] : [], () => context.statuses.get(rig.id)?.look?.etag);
 }
 

@@ -1,5 +1,5 @@
 // Captures: their recordings, their losses, and the jobs they can be used for.
-import { post } from './api.js';
+import { post, rigPath } from './api.js';
 import { actions, asking, button, removal } from './act.js';
 import { calibrating } from './calibrations.js';
 import { openCapture } from './cameras.js';
@@ -30,6 +30,7 @@ export function lacks(manifest) {
 function state(item, context) {
   const manifest = context.manifests.get(item.id);
   if (!manifest) return null;
+  if (manifest.fault) return failure(`What it holds cannot be told: ${manifest.fault}`);
   const missing = lacks(manifest);
   const skews = manifest.cameras.map((camera) => camera.skew_s).filter((skew) => skew !== null);
   const skew = skews.length ? `skew up to ${(Math.max(...skews.map(Math.abs)) * 1e6).toFixed(1)} µs` : null;
@@ -42,7 +43,7 @@ function state(item, context) {
 
 function running(item, context) {
   if (ended(item)) return null;
-  const path = `/rigs/${item.rig}/captures/${item.id}`;
+  const path = `${rigPath(item.rig)}/captures/${item.id}`;
   return element('div', {},
     item.status === 'running' && bar(`${item.id}: ${item.stage ?? 'starting'}`, item.fraction),
     item.message && element('p', {}, item.message),

@@ -1,5 +1,5 @@
 // A rig: the view and health of its cameras, its calibration, and the form that makes a capture.
-import { looksOn, post } from './api.js';
+import { looksOn, post, rigPath } from './api.js';
 import { actions, button } from './act.js';
 import { calibration } from './calibrations.js';
 import { ago, bar, byId, card, element, failure, fold, quiet, seconds, size, title } from './dom.js';
@@ -56,7 +56,7 @@ const DOING = { record: 'recording', look: 'looking', preflight: 'checking' };
 // Show the capture or job that keeps the cameras busy.
 function work(doing, item) {
   if (!doing) return null;
-  const stop = () => post(`/rigs/${item.id}/captures/${doing.id}/stop`);
+  const stop = () => post(`${rigPath(item.id)}/captures/${doing.id}/stop`);
   return element('div', {},
     bar(`${doing.name ?? doing.id}: ${DOING[doing.type] ?? doing.type}`, doing.fraction),
     doing.message && quiet(doing.message),
@@ -65,7 +65,7 @@ function work(doing, item) {
 
 function look(item, status, context) {
   if (!status.look) return element('div', { className: 'view empty' }, quiet('Look shows what each camera sees.'));
-  const path = `/v1/rigs/${item.id}/look.png?of=${encodeURIComponent(status.look.etag)}`;
+  const path = `/v1${rigPath(item.id)}/look.png?of=${encodeURIComponent(status.look.etag)}`;
   return element('figure', { className: 'view' }, enlarging(path, `What the ${item.cameras.length} cameras of ${item.name} see`, '', () => openLook(item, context)),
     element('figcaption', { className: 'quiet' }, `Seen ${ago(status.look.age_s)}`));
 }
@@ -111,7 +111,7 @@ function form(item) {
   const [kept] = number(`pre-${item.id}`, 'Pre-trigger (ms)', { min: 0, max: 60000, step: 'any', placeholder: 'none' });
   const sensitivity = SENSITIVITY.map(([key, label]) => number(`${key}-${item.id}`, label, { min: 1, step: 1, placeholder: 'as it is' })[0]);
   const name = element('label', { htmlFor: `name-${item.id}` }, 'Name', element('input', { id: `name-${item.id}`, type: 'text', maxLength: 80, autocomplete: 'off' }));
-  const record = button('Record', `record-${item.id}`, () => post(`/rigs/${item.id}/captures`, requested(item)), { plain: false, disabled: item.busy !== null, done: 'The rig records' });
+  const record = button('Record', `record-${item.id}`, () => post(`${rigPath(item.id)}/captures`, requested(item)), { plain: false, disabled: item.busy !== null, done: 'The rig records' });
   const made = element('form', { id: `form-${item.id}`, className: 'fields capture' }, lengths(item),
     element('label', { className: 'check' }, endless, 'Until stopped'), kept, sensitivity, name, actions(record));
   const act = record.onclick;
@@ -134,7 +134,7 @@ export function rig(item, context) {
     actions(
       button('Look', `look-${item.id}`, () => context.look(item.id), { disabled: item.busy !== null }),
       watching(item, context),
-      button('Preflight', `preflight-${item.id}`, () => post(`/rigs/${item.id}/preflight`), { disabled: item.busy !== null, done: 'The preflight is queued' })),
+      button('Preflight', `preflight-${item.id}`, () => post(`${rigPath(item.id)}/preflight`), { disabled: item.busy !== null, done: 'The preflight is queued' })),
     looksOn() ? null : [element('h4', {}, 'Record'), form(item), element('h4', {}, 'State')],
     room(status),
     cameras(status),

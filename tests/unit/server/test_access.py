@@ -13,7 +13,7 @@ from fastapi.testclient import TestClient
 from server.app import create_app
 from server.cli.main import cli
 from server.errors import ExposedError, TokenError
-from server.middleware.gate import _MOST_CLIENTS, OPEN, Rates, address_of, is_guarded
+from server.middleware.gate import _MOST_CLIENTS, OPEN, READY, Rates, address_of, is_guarded
 from server.services.access import AccessService
 from server.settings import ServiceSettings, SettingsError, settings_of
 from server.store.store import Store
@@ -74,7 +74,7 @@ def test_names_of_tokens_are_unique(tmp_path: Path) -> None:
 
 def test_every_route_of_the_interface_needs_a_token(http, secrets) -> None:
     paths = http.get("/openapi.json").json()["paths"]
-    asked = [(method, path) for path, item in paths.items() for method in item if path not in OPEN]
+    asked = [(method, path) for path, item in paths.items() for method in item if path not in (*OPEN, READY)]
     assert len(asked) > 20
     for method, path in asked:
         answer = http.request(method, path)
@@ -84,6 +84,16 @@ def test_every_route_of_the_interface_needs_a_token(http, secrets) -> None:
     assert http.get("/v1/healthz").status_code == 200
     assert http.get("/").status_code == 200
     assert is_guarded("/metrics")
+
+
+def test_without_a_token_readiness_is_told_by_its_status_alone(http, secrets) -> None:
+    bare = http.get("/v1/readyz")
+    assert (bare.status_code, bare.json()["detail"], "checks" in bare.json()) == (503, "not ready", False)
+    assert http.get("/v1/readyz", headers=bearer("s4d_guess")).status_code == 401
+    http.app.state.services.store.workers.enter("a", ["tasks"])
+    assert (http.get("/v1/readyz").status_code, http.get("/v1/readyz").json()) == (200, {})
+    whole = http.get("/v1/readyz", headers=bearer(secrets["viewer"]))
+    assert (whole.status_code, whole.json()["worker"]["ok"]) == (200, True)
 
 
 @pytest.mark.parametrize("given", ["", "Bearer", "Bearer ", "Bearer x", "Basic {}", "{}", "Bearer {}x", "Bearer\t{}"])

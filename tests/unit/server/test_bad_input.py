@@ -112,3 +112,32 @@ def test_an_error_carries_its_kind() -> None:
 def test_options_are_told_as_fields(http: TestClient, said: str, shown: str) -> None:
     assert in_request_words(said) == shown
     assert failed(http, StageError(said))["error"] == shown
+
+
+def test_a_job_that_is_queued_again_tells_no_error_of_the_attempt_before(http: TestClient) -> None:
+    services = http.app.state.services  # type: ignore[attr-defined]
+    job = failed(http, BadRunError("found a fault"))
+    assert job["error"] == "found a fault"
+    for status, do in (("queued", "resume"), ("cancelled", "cancel")):
+        assert http.post(f"/v1/jobs/{job['id']}/{do}").is_success
+        shown = http.get(f"/v1/jobs/{job['id']}").json()
+        assert (shown["status"], shown["error"], shown["bad_input"]) == (status, None, False)
+        (listed,) = http.get("/v1/jobs", params={"q": job["id"]}).json()["items"]
+        assert (listed["status"], listed["error"], listed["bad_input"]) == (status, None, False)
+    services.announcer.look()
+    told = [event.data for event in services.store.events.after(0, job["id"]) if event.kind == "status"]
+    assert told[-1] == {"status": "cancelled", "error": None}
+
+
+def test_a_job_that_is_done_again_from_a_stage_is_no_further(http: TestClient) -> None:
+    store = http.app.state.services.store  # type: ignore[attr-defined]
+    asked = {"type": "reconstruct", "capture": "c"}
+    made = {"stage": "report", "fraction": 1.0, "message": "scored", "warnings": ["dark"]}
+    places = {"queue": "reconstructions", "told": "done", "progress": made}
+    entry = Entry(store.entries.dated_id("j"), "job", "reconstruct", store.entries.now(), asked, **places)
+    store.entries.add(entry)
+    again = http.post(f"/v1/jobs/{entry.id}/restart", json={"stage": "points"}).json()
+    shown = [again[name] for name in ("status", "stage", "fraction", "message", "warnings")]
+    assert shown == ["queued", "points", 0.0, "", []]
+    steps = http.get(f"/v1/jobs/{entry.id}/steps").json()["items"]
+    assert [step["status"] for step in steps] == ["done"] * 3 + ["waiting"] * 3

@@ -97,9 +97,10 @@ def test_an_import_is_queued_with_its_cameras_file(
     staged = services.store.folder.entry(entry.id) / entry.request["cameras"]
     assert staged.read_text() == dump_rig(RIG)
     paths = [Path(f"/u/{n}") for n in range(9)]
-    assert import_arguments(entry.request, paths, Path("c.toml"), Path("rec")) == [
+    assert import_arguments(entry.request, paths, Path("c.toml"), Path("rec"), 256_000_000) == [
         *("import", *(text for n, name in enumerate(RIG.ids) for text in ("--dat", f"{name}=/u/{n}"))),
-        *("--cameras", "c.toml", "--format", "vidar", "--tick-rate", "20000.0", "--align", "--out", "rec"),
+        *("--cameras", "c.toml", "--format", "vidar", "--tick-rate", "20000.0"),
+        *("--keep-free", "256", "--align", "--out", "rec"),
     ]
     refused(http.delete(f"/v1/uploads/{dats['cam00']}"), 409, capture["id"])
     refused(http.get(f"{answer.headers['Location']}/preview"), 409, "queued")

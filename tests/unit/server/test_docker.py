@@ -7,9 +7,11 @@ from pathlib import Path
 import click
 import pytest
 import yaml
+from fastapi.testclient import TestClient
 
 from acquisition.devices.profile import VENDOR_ID, profiles
 from acquisition.devices.trigger_box import BOX_PRODUCT_ID
+from server.app import create_app
 from server.cli.main import cli
 from server.settings import ServiceSettings
 
@@ -120,3 +122,26 @@ def test_the_unit_starts_a_command_that_exists() -> None:
     parse(found[1].split())
     settings = re.findall(r"^Environment='?SPIKE4DGS_(\w+)=", text, re.MULTILINE)
     assert {name.lower() for name in settings} <= set(ServiceSettings.model_fields)
+
+
+@pytest.mark.parametrize("path", COMPOSE, ids=lambda path: path.stem)
+def test_who_watches_a_container_is_let_in_where_the_service_has_tokens(path: Path, tmp_path: Path) -> None:
+    services = yaml.safe_load(path.read_text())["services"].values()
+    (checked,) = [one["healthcheck"]["test"][-1] for one in services if one.get("network_mode") == "host"]
+    found = re.search(r"urlopen\('http://127.0.0.1:8000(\S+)'\)", checked)
+    assert found is not None
+    with TestClient(create_app(ServiceSettings(data=tmp_path)), base_url="http://127.0.0.1") as http:
+        store = http.app.state.services.store  # type: ignore[attr-defined]
+        store.tokens.add("me", "operator")
+        http.app.state.services.access._read_at = None  # type: ignore[attr-defined]
+        assert http.get(found[1]).status_code == 503  # no worker
+        store.workers.enter("a", ["tasks"])
+        assert http.get(found[1]).status_code == 200
+
+
+def test_what_stops_is_given_as_long_everywhere() -> None:
+    """A worker's stage has 20 s to stop, and its worker five more."""
+    for path in COMPOSE:
+        for service in yaml.safe_load(path.read_text())["services"].values():
+            assert "build" not in service or service["stop_grace_period"] == "30s"
+    assert "TimeoutStopSec=30\n" in (ROOT / "docker" / "spike4dgs.service").read_text()

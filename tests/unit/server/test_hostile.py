@@ -6,11 +6,13 @@ from pathlib import Path
 
 import pytest
 from fastapi.testclient import TestClient
+from sqlalchemy.exc import DataError
 
 from server.app import create_app
 from server.errors import SlowBodyError
 from server.middleware.limits import BodyLimit
 from server.settings import ServiceSettings
+from server.store.webhooks import Webhooks
 
 JSON = {"Content-Type": "application/json"}
 ID = "20260101-000000-00000000"
@@ -56,6 +58,16 @@ def test_no_name_leaves_the_data_folder(http, climb: str) -> None:
         assert http.get(f"/v1/jobs?{query}={climb}").status_code in (200, 422)
     for body in ({"capture": climb}, {"type": "evaluate", "job": climb}, {"type": "verify", "capture": climb}):
         assert_refused(http.post("/v1/jobs", json=body), 422)
+
+
+def test_a_webhook_that_no_database_may_be_asked_for_is_not_found(http, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:  # as PostgreSQL's driver does
+        raise DataError("SELECT", {}, ValueError("PostgreSQL text fields cannot contain NUL (0x00) bytes"))
+
+    monkeypatch.setattr(Webhooks, "select", refuse)
+    for path in ("%00", "%00/deliveries", "w00112233445566%00"):
+        assert_refused(http.get(f"/v1/webhooks/{path}"), 404)
+    assert_refused(http.delete("/v1/webhooks/%00"), 404)
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,9 @@ def test_a_size_can_be_given(http: TestClient, data: bytes) -> None:
     found = http.get(f"{where}/inspection?width=200&height=100").json()
     assert {(one["width"], one["height"]) for one in found["candidates"]} == {(200, 100)}
     assert found["candidates"][0]["plausibility"] < 0.5
+    for half in ("width=200", "height=100"):
+        answer = http.get(f"{where}/inspection?{half}")
+        assert (answer.status_code, "found one of width and height" in answer.json()["detail"]) == (422, True)
 
 
 def test_what_does_not_fit_is_one_line(http: TestClient, data: bytes) -> None:

@@ -88,3 +88,9 @@ def test_the_page_imports_what_there_is() -> None:
                 text = (path.parent / target).read_text()
                 exported = set(re.findall(r"export (?:async )?(?:const|let|function|class) (\w+)", text))
                 assert {name.strip() for name in names.split(",") if name.strip()} <= exported, f"{path.name}: {target}"
+
+
+def test_a_rig_is_addressed_in_one_place() -> None:
+    """Its name may have characters that mean something in addresses."""
+    (line,) = (line for path in ALL for line in path.read_text().splitlines() if "/rigs/${" in line)
+    assert line == "export const rigPath = (id) => `/rigs/${encodeURIComponent(id)}`;"

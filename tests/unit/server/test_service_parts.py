@@ -20,7 +20,7 @@ from server.errors import TargetError
 from server.schemas.captures import CaptureRequest
 from server.schemas.job_types import JOB_TYPES, ExportRequest, ReconstructRequest
 from server.services.targets import allowed_address, target_of
-from server.settings import RigSource, ServiceSettings, SettingsError, settings_of
+from server.settings import STAGE_COMMAND, RigSource, ServiceSettings, SettingsError, settings_of
 from server.store.files import DataFolder
 from server.work.commands import reconstruct_arguments, record_arguments, task_arguments
 
@@ -34,6 +34,8 @@ def test_arguments_of_the_stages() -> None:
     assert record_arguments(request, "lab3x3", "usb:", Path("rec"))[5:-2] == [
         *("--pre-trigger", "5.0", "--threshold", "900", "--rejoin", "0.0", "--until-stopped")
     ]
+    asked = record_arguments({"ticks": 5}, "lab3x3", "usb:", Path("rec"), keep_free_bytes=20_000_000_001)
+    assert asked[5:-2] == ["--ticks", "5", "--keep-free", "20001"]
 
 
 def test_arguments_of_a_reconstruction() -> None:
@@ -108,6 +110,15 @@ def test_a_request_that_does_not_fit_is_refused(change: dict[str, object]) -> No
         ReconstructRequest.model_validate({"capture": "c"} | change)
 
 
+def test_a_camera_is_named_as_recordings_may_name_it() -> None:
+    asked = {"capture": "c", "holdout": "left", "views": ["Right_2", "top-3"]}
+    assert ReconstructRequest.model_validate(asked).holdout == "left"
+    assert ExportRequest(type="export", job="j", format="ply", camera="left").camera == "left"
+    for name in ("--out", "a b", "", "x" * 41):
+        with pytest.raises(ValidationError):
+            ReconstructRequest.model_validate(asked | {"holdout": name})
+
+
 def test_settings_come_from_flags_then_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPIKE4DGS_DATA", str(tmp_path / "a"))
     monkeypatch.setenv("SPIKE4DGS_RIGS", json.dumps({"left": {"rig": "ci3x3", "devices": "usb:1"}}))
@@ -126,6 +137,8 @@ def test_settings_come_from_flags_then_environment(tmp_path: Path, monkeypatch: 
         ("RIGS", '{"a": {"rig": "ci3x3"}}', "rigs.a.devices: Field required; mend the flag or SPIKE4DGS_RIGS"),
         ("STAGE_COMMAND", "python", "stage_command: found python, expected JSON"),
         ("PORT", "many", "port: Input should be a valid integer"),
+        ("PORT", "70000", "port: Input should be less than or equal to 65535; mend the flag or SPIKE4DGS_PORT"),
+        ("DATA", "", "data: found no name, expected that of a folder; mend the flag or SPIKE4DGS_DATA"),
         ("WEBHOOK_HOSTS", "a b", "webhook_hosts.0: found a b, expected the name of a host"),
         ("HOSTS", "lab:x", "hosts.0: found lab:x, expected the name of a host"),
     ],
@@ -138,6 +151,14 @@ def test_a_variable_that_cannot_be_read_is_one_line(
         settings_of(rig=None, devices=None)
     assert str(caught.value).startswith(said)
     assert "\n" not in str(caught.value)
+
+
+def test_what_would_be_json_and_is_empty_is_not_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compose hands on a variable of the host that is set to nothing."""
+    for name in ("RIGS", "STAGE_COMMAND"):
+        monkeypatch.setenv(f"SPIKE4DGS_{name}", "")
+    settings = settings_of(rig=None, devices=None)
+    assert (list(settings.rigs), settings.own_rigs, settings.stage_command) == (["lab3x3"], {}, STAGE_COMMAND)
 
 
 @pytest.mark.parametrize("name", ["hosts", "webhook_hosts"])

@@ -5,10 +5,14 @@ import threading
 from collections import namedtuple
 
 import pytest
+from click.testing import CliRunner
 from fastapi.testclient import TestClient
 
-from rigs.toml import catalog_rig
+from acquisition.errors import DiskError
+from acquisition.recording.direct import DirectFile
+from rigs.toml import catalog_rig, dump_rig
 from server.app import create_app
+from server.cli.main import cli
 from server.settings import ServiceSettings
 from server.store.disk import Disk
 
@@ -116,3 +120,70 @@ def test_a_disk_without_room_for_the_reserve_goes_without(tmp_path, monkeypatch)
     monkeypatch.setattr("os.posix_fallocate", refuse)
     disk.keep_reserve()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_import_is_promised_the_room_of_its_uploads(http, free, tmp_path) -> None:
+    dats = []
+    for _ in RIG.ids:
+        dats.append(http.post("/v1/uploads", json={"name": "a", "bytes": 100}).json()["id"])
+        http.patch(f"/v1/uploads/{dats[-1]}", content=bytes(100), headers={"Upload-Offset": "0"})
+        assert http.post(f"/v1/uploads/{dats[-1]}/commit").status_code == 200
+    body = {"uploads": dats, "cameras": {"rig": "lab3x3"}, "tick_rate_hz": 20000}
+    free["bytes"] = KEEP_FREE + 899
+    before = list((tmp_path / "entries").iterdir())
+    refused = http.post("/v1/captures:import", json=body)
+    assert (refused.status_code, refused.json()["detail"]) == (
+        507,
+        "found 899 bytes free, expected the 900 that are asked for; delete something",
+    )
+    assert list((tmp_path / "entries").iterdir()) == before
+    free["bytes"] = KEEP_FREE + 1000
+    imported = http.post("/v1/captures:import", json=body)
+    assert imported.status_code == 202
+    assert begin(http, 101) == 507  # it copies the uploads yet
+    (tmp_path / "captures" / imported.json()["id"]).mkdir()  # it is whole
+    assert begin(http, 101) == 201
+
+
+def test_what_a_recorder_has_reserved_is_counted_once(http, free, tmp_path) -> None:
+    free["bytes"] = KEEP_FREE + 100 * TICK_BYTES
+    capture = http.post("/v1/rigs/lab3x3/captures", json={"ticks": 60}).json()["id"]
+    written = tmp_path / "captures" / f"{capture}.partial"
+    written.mkdir()
+    file = DirectFile(written / "cam00.dat")
+    file.reserve(60 * TICK_BYTES)
+    file.abandon()
+    if 512 * (written / "cam00.dat").stat().st_blocks < 60 * TICK_BYTES:
+        pytest.skip("needs a file system that reserves room for a file")
+    free["bytes"] -= 60 * TICK_BYTES
+    assert begin(http, 40 * TICK_BYTES) == 201
+
+
+def test_a_disk_that_does_not_answer_leaves_the_reserve_to_the_next(tmp_path, free, monkeypatch) -> None:
+    disk = Disk(tmp_path, 0)
+    disk.keep_reserve()
+    with monkeypatch.context() as gone:
+        gone.setattr(shutil, "disk_usage", raise_error)
+        with pytest.raises(OSError, match="gone"), disk.making_room():
+            pass
+    free["bytes"] = 0
+    with disk.making_room():
+        assert not (tmp_path / "reserve").exists()
+    assert (tmp_path / "reserve").exists()
+
+
+def raise_error(*_: object) -> None:
+    raise OSError(5, "gone")
+
+
+def test_an_import_leaves_free_what_it_is_told_to(tmp_path, free) -> None:
+    rig = RIG.scaled(40, 24).only(["cam00"])
+    (tmp_path / "cam00.dat").write_bytes(bytes(10 * 120))
+    (tmp_path / "rig.toml").write_text(dump_rig(rig))
+    dats = ["--dat", str(tmp_path / "cam00.dat"), "--cameras", str(tmp_path / "rig.toml"), "--tick-rate", "20000"]
+    free["bytes"] = 30_000_000
+    arguments = ["import", *dats, "--out", str(tmp_path / "rec")]
+    refused = CliRunner().invoke(cli, [*arguments, "--keep-free", "30"]).exception
+    assert isinstance(refused, DiskError)
+    assert "found 30000000 bytes free" in str(refused)
+    assert CliRunner().invoke(cli, arguments, catch_exceptions=False).exit_code == 0

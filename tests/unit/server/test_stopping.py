@@ -1,16 +1,21 @@
-"""Tests what an order to stop, or to move, does to an entry that nobody works on, without a worker."""
+"""Orders to stop, to move and to delete, without a worker: what they do to an entry, and who hears of them first."""
 
+import asyncio
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import uvicorn
 from fastapi.testclient import TestClient
+from sqlalchemy.exc import OperationalError
 
+from server import hosting
 from server.app import create_app
 from server.engine import TASKS, capture_queue
 from server.services.services import Services
 from server.settings import ServiceSettings
 from server.store.tables import Entry
+from server.work.keeper import Keeper
 
 RIG = "lab3x3"
 
@@ -75,3 +80,66 @@ def test_a_job_deleted_before_it_is_moved_is_not_found(
     monkeypatch.setattr(queue, "prioritise", deleted_first)
     answer = http.put(f"/v1/jobs/{entry.id}/priority", json={"priority": 5})
     assert (answer.status_code, answer.headers["content-type"]) == (404, "application/problem+json")
+
+
+def test_the_worker_is_told_to_stop_before_downloads_are_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order: list[str] = []
+
+    async def wait(server: uvicorn.Server, sockets: object = None) -> None:
+        order.append("downloads")
+
+    keeper = Keeper(["true"], grace_s=1)
+    monkeypatch.setattr(keeper, "stop", lambda: order.append("worker"))
+    monkeypatch.setattr(hosting, "configure_logs", lambda settings: None)
+    monkeypatch.setattr(uvicorn.Server, "shutdown", wait)
+    settings = ServiceSettings(data=tmp_path)
+    app = create_app(settings, keeper)
+    asyncio.run(hosting.server_of(app, settings).shutdown())
+    app.state.services.engine.close()
+    app.state.services.store.close()
+    assert order == ["worker", "downloads"]
+
+
+@pytest.mark.parametrize("path", ["captures", "preflight", "look"])
+def test_a_request_that_comes_twice_at_once_has_one_answer(
+    http: TestClient, services: Services, path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def post() -> tuple[int, str]:
+        body = {"ticks": 5} if path == "captures" else {}
+        answer = http.post(f"/v1/rigs/{RIG}/{path}", json=body, headers={"Idempotency-Key": "once"})
+        return answer.status_code, answer.json()["id"]
+
+    first = post()
+    once = services.queue.once
+    monkeypatch.setattr(services.queue, "once", lambda *asked: (once(*asked)[0], False))  # both looked, then both began
+    assert post() == first
+    kind = "captures" if path == "captures" else "jobs"
+    assert [one["id"] for one in http.get(f"/v1/{kind}").json()["items"]] == [first[1]]
+    assert kind == "captures" or services.store.folder.job(first[1]).exists()
+
+
+def test_a_recording_has_left_its_place_before_its_entry_goes(
+    http: TestClient, services: Services, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    capture_id, store = asked_for(http), services.store
+    stopped(http, capture_id)
+    recording = store.folder.recording(capture_id)
+    recording.mkdir()
+    remove = store.entries.remove
+
+    def removed(entry_id: str) -> None:
+        assert not recording.exists()
+        remove(entry_id)
+
+    def refused(entry_id: str) -> None:
+        raise OperationalError("DELETE", {}, Exception("database is locked"))
+
+    monkeypatch.setattr(store.entries, "remove", refused)
+    assert http.delete(f"/v1/captures/{capture_id}").status_code == 503
+    assert recording.exists()
+    monkeypatch.setattr(store.entries, "remove", removed)
+    assert http.delete(f"/v1/captures/{capture_id}").status_code == 204
+    assert http.get(f"/v1/captures/{capture_id}").status_code == 404
+    assert not recording.exists()

@@ -1,11 +1,13 @@
 """Tests the client against refusals that pass."""
 
 import time
+from pathlib import Path
 
 import httpx
 import pytest
 
 from server.client import RefusedError, ServiceClient
+from server.errors import UploadSizeError
 from server.schemas.uploads import Upload
 
 WAITS = {"Retry-After": "2"}
@@ -49,3 +51,21 @@ def test_patience_ends(slept: list[float], headers: dict[str, str], times: int) 
         client.info()
     assert caught.value.status == 429
     assert (len(sent), len(slept)) == (times, times - 1)
+
+
+@pytest.mark.parametrize("content", [b"Service Unavailable", b"<html>", b"[]", b"{}", b"\xff"])
+def test_an_answer_that_is_no_problem_document_is_a_refusal(content: bytes) -> None:
+    client = client_of([httpx.Response(503, content=content)], [])
+    with pytest.raises(RefusedError, match="found the answer 503 Service Unavailable, expected one of the") as caught:
+        client.info()
+    assert (caught.value.status, caught.value.exit_code) == (503, 1)
+
+
+def test_a_file_shorter_than_its_upload_is_refused(tmp_path: Path) -> None:
+    upload = Upload(id="u1", created="2026-01-01", name="a", bytes=5, offset=2, sha256=None, state="open")
+    (tmp_path / "a.dat").write_bytes(b"ab")
+    sent: list[bytes] = []
+    client = client_of([httpx.Response(200, content=upload.model_dump_json())], sent)
+    with pytest.raises(UploadSizeError, match="to end at byte 2, expected the 5 bytes of u1; give the file"):
+        client.send_file(tmp_path / "a.dat", "u1")
+    assert len(sent) == 1

@@ -2,6 +2,8 @@
 
 import hashlib
 import os
+import shutil
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,8 +12,11 @@ import sqlalchemy as sa
 from fastapi.testclient import TestClient
 
 from server.app import create_app
+from server.services.retention import Retention
+from server.services.services import Services
 from server.settings import ServiceSettings
 from server.store import upload_file
+from server.store.tables import Entry, StoredUpload
 from server.store.upload_file import held
 from server.store.uploads import Uploads
 
@@ -187,6 +192,47 @@ def test_a_stale_upload_is_deleted_with_its_bytes(http: TestClient, tmp_path: Pa
     assert http.delete(where).status_code == 204
     assert list((tmp_path / "uploads").iterdir()) == []
     refused(http.get(where), 404)
+
+
+def test_an_upload_whose_bytes_are_gone_can_be_deleted(http: TestClient, tmp_path: Path) -> None:
+    """A database that is put back from a backup names uploads which were deleted since."""
+    where = begin(http)
+    shutil.rmtree(tmp_path / "uploads" / where.rpartition("/")[2])
+    for answer in (send(http, where, DATA, 0), http.post(f"{where}/commit")):
+        refused(answer, 404, "found no bytes of the upload", "delete it")
+    assert http.delete(where).status_code == 204
+    assert http.get("/v1/uploads").json()["items"] == []
+
+
+def test_what_cannot_be_deleted_keeps_nothing_else(
+    http: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    services: Services = http.app.state.services  # type: ignore[attr-defined]
+    stuck, *_ = [begin(http).rpartition("/")[2] for _ in range(4)]
+    delete = services.uploads.delete
+
+    def refuse(upload_id: str) -> None:
+        if upload_id == stuck:
+            raise PermissionError(13, "Permission denied")
+        delete(upload_id)
+
+    monkeypatch.setattr(services.uploads, "delete", refuse)
+    monkeypatch.setattr(services.store, "clock", lambda: time.time() + 8 * 24 * 3600)
+    Retention(services.store, services.engine, services.jobs, services.uploads, None, 7.0).tidy()
+    assert [one["id"] for one in http.get("/v1/uploads").json()["items"]] == [stuck]
+    assert f"{stuck} is not deleted: [Errno 13] Permission denied" in caplog.text
+
+
+def test_cameras_to_render_from_are_no_recording(http: TestClient) -> None:
+    """They are read whole, by the process that serves everybody."""
+    services: Services = http.app.state.services  # type: ignore[attr-defined]
+    entries, uploads = services.store.entries, services.store.uploads
+    job = Entry(entries.dated_id("j"), "job", "reconstruct", entries.now(), {"capture": "c"})
+    entries.add(job)
+    upload = StoredUpload(entries.dated_id("u"), entries.now(), "cam00.dat", 2**24 + 1, None, "committed")
+    uploads.insert(upload)
+    answer = http.post("/v1/jobs", json={"type": "render", "job": job.id, "cameras": upload.id})
+    refused(answer, 422, "found 16777217 bytes of cameras, expected a transforms.json of at most 16777216")
 
 
 def test_uploads_come_in_pages(http: TestClient) -> None:
