@@ -43,9 +43,13 @@ class ServiceClient(RigCalls, CaptureCalls, EventCalls):
         return self._send("GET", "/options").json()
 
     def checks(self) -> dict[str, Check]:
-        """Return the conditions of being ready, met or not."""
-        found = self._http.get("/v1/readyz").json()
-        return {name: Check(**check) for name, check in found.get("checks", found).items()}
+        """Return the conditions of being ready, met or not; raises RefusedError where the service tells none."""
+        response = self._http.get("/v1/readyz")
+        try:
+            found = response.json()["checks"]
+        except (ValueError, TypeError, KeyError):
+            found = self._checked(response).json()
+        return {name: Check(**check) for name, check in found.items()}
 
     def workers(self) -> list[WorkerInfo]:
         """List the workers that are alive."""

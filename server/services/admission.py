@@ -21,8 +21,7 @@ from server.services.captures import RigService
 from server.store.rig_files import fitted
 from server.store.store import Store
 from server.store.tables import Entry
-
-_MOST_CAMERA_BYTES = 16 << 20  # of a file that is read whole
+from server.store.upload_file import MOST_CAMERA_BYTES
 
 
 class Admission:
@@ -58,8 +57,8 @@ class Admission:
                 self._check_rig(request, target)
         if isinstance(request, RenderRequest):
             upload = self._store.uploads.committed(request.cameras)
-            if upload.bytes > _MOST_CAMERA_BYTES:
-                expected = f"a transforms.json of at most {_MOST_CAMERA_BYTES}"
+            if upload.bytes > MOST_CAMERA_BYTES:
+                expected = f"a transforms.json of at most {MOST_CAMERA_BYTES}"
                 raise UnknownReferenceError(f"found {upload.bytes} bytes of cameras", expected)
             frames_to_render(self._store.folder.upload(upload.id) / "data")
         return target

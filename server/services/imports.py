@@ -18,8 +18,7 @@ from server.services.queue import Key, Queue
 from server.services.space import Space
 from server.services.uploads import UploadService
 from server.store.store import Store
-
-_MOST_CAMERA_BYTES = 16 << 20
+from server.store.upload_file import MOST_CAMERA_BYTES
 
 
 class ImportService:
@@ -74,10 +73,10 @@ class ImportService:
             self._write_rig(request.cameras.rig, path)
         else:
             upload = self._store.uploads.committed(request.cameras)
-            if upload.bytes > _MOST_CAMERA_BYTES:
+            if upload.bytes > MOST_CAMERA_BYTES:
                 raise UnknownReferenceError(
                     f"found {upload.bytes} bytes of cameras",
-                    f"a transforms.json or a RIG.toml of at most {_MOST_CAMERA_BYTES}",
+                    f"a transforms.json or a RIG.toml of at most {MOST_CAMERA_BYTES}",
                 )
             source = self._uploads.path(upload.id)
             with source.open("rb") as file:

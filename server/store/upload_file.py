@@ -10,6 +10,7 @@ from pathlib import Path
 from server.errors import NotFoundError, OffsetError, StateError, UploadDiskError, UploadSizeError
 from server.store.files import locked
 
+MOST_CAMERA_BYTES = 16 << 20  # of an upload that is read whole, as a file of cameras is
 _FREE_EVERY = 1 << 20  # bytes, at most, between two looks at the free disk
 
 

@@ -53,6 +53,19 @@ def test_patience_ends(slept: list[float], headers: dict[str, str], times: int) 
     assert (len(sent), len(slept)) == (times, times - 1)
 
 
+def test_checks_are_those_that_are_told() -> None:
+    check = {"ok": False, "found": "no worker", "expected": "one"}
+    for answer, names in (
+        (httpx.Response(200, json={"worker": check}), ["worker"]),
+        (httpx.Response(200, json={}), []),
+    ):
+        assert list(client_of([answer], []).checks()) == names
+    met = httpx.Response(503, json={"detail": "no worker", "checks": {"worker": check}})
+    assert list(client_of([met], []).checks()) == ["worker"]
+    with pytest.raises(RefusedError, match="not ready"):
+        client_of([httpx.Response(503, json={"detail": "not ready", "type": "not-ready"})], []).checks()
+
+
 @pytest.mark.parametrize("content", [b"Service Unavailable", b"<html>", b"[]", b"{}", b"\xff"])
 def test_an_answer_that_is_no_problem_document_is_a_refusal(content: bytes) -> None:
     client = client_of([httpx.Response(503, content=content)], [])
