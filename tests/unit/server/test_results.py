@@ -4,20 +4,17 @@ import asyncio
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+from maintenance.entries import added, imported
 
-from acquisition.recording.importing import ImportOptions, import_recording
-from acquisition.spikes.layout import PlaneLayout
-from acquisition.spikes.packing import pack
 from reconstruction.run.configuration import ReconstructionConfig
 from reconstruction.run.decisions import Plan
 from reconstruction.run.folder import RunFolder
 from rigs.errors import Spike4dgsError
-from rigs.toml import catalog_rig, dump_rig
+from rigs.toml import catalog_rig
 from server.engine import TASKS, capture_queue
 from server.services import results
 from server.services.services import Services
@@ -31,25 +28,11 @@ PLANES = 60
 MOST = 80
 
 
-def added(services: Services, kind: Any, what: str, **fields: Any) -> str:
-    entries = services.store.entries
-    entry = Entry(entries.dated_id(kind[0]), kind, what, entries.now(), fields.pop("request", {}), **fields)
-    entries.add(entry)
-    return entry.id
-
-
 @pytest.fixture(scope="module")
 def capture(services: Services, tmp_path_factory: pytest.TempPathFactory) -> str:
-    folder = tmp_path_factory.mktemp("dats")
     planes = np.zeros((PLANES, 24, 40), np.uint8)
     planes[::2, :, 7:] = 1
-    for camera_id in RIG.ids:
-        (folder / f"{camera_id}.dat").write_bytes(pack(planes, PlaneLayout(40, 24)).tobytes())
-    (folder / "rig.toml").write_text(dump_rig(RIG))
-    capture = added(services, "capture", "import")
-    dats = [f"{camera_id}={folder / camera_id}.dat" for camera_id in RIG.ids]
-    import_recording(dats, folder / "rig.toml", services.store.folder.recording(capture), ImportOptions(20000))
-    return capture
+    return imported(services, RIG, [planes] * len(RIG.ids), tmp_path_factory.mktemp("dats"))
 
 
 @pytest.fixture(scope="module")

@@ -6,16 +6,13 @@ import json
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
+from maintenance.entries import added, imported
 from PIL import Image
 
-from acquisition.recording.importing import ImportOptions, import_recording
-from acquisition.spikes.layout import PlaneLayout
-from acquisition.spikes.packing import pack
 from reconstruction.images.catalogue import method
 from reconstruction.report.display import grey
-from rigs.toml import catalog_rig, dump_rig
+from rigs.toml import catalog_rig
 from server.services.services import Services
-from server.store.tables import Entry
 
 RIG = catalog_rig("lab3x3").scaled(40, 24)
 PLANES, WHITE = 80, 0.8
@@ -24,24 +21,11 @@ PLANES, WHITE = 80, 0.8
 @pytest.fixture(scope="module")
 def capture(services: Services, tmp_path_factory: pytest.TempPathFactory) -> str:
     """A capture in which an edge moves a column to the right every four planes, from another place in each camera."""
-    folder = tmp_path_factory.mktemp("dats")
-    for number, camera_id in enumerate(RIG.ids):
-        planes = np.zeros((PLANES, 24, 40), np.uint8)
+    spikes = np.zeros((len(RIG.ids), PLANES, 24, 40), np.uint8)
+    for number, planes in enumerate(spikes):
         for plane in range(0, PLANES, 2):
             planes[plane, :, number + plane // 4 :] = 1
-        (folder / f"{camera_id}.dat").write_bytes(pack(planes, PlaneLayout(40, 24)).tobytes())
-    (folder / "rig.toml").write_text(dump_rig(RIG))
-    capture = added(services, "capture", "import")
-    dats = [f"{camera_id}={folder / camera_id}.dat" for camera_id in RIG.ids]
-    import_recording(dats, folder / "rig.toml", services.store.folder.recording(capture), ImportOptions(20000))
-    return capture
-
-
-def added(services: Services, kind: str, what: str, **fields: str) -> str:
-    entries = services.store.entries
-    entry = Entry(entries.dated_id(kind[0]), kind, what, entries.now(), {}, **fields)  # type: ignore[arg-type]
-    entries.add(entry)
-    return entry.id
+    return imported(services, RIG, spikes, tmp_path_factory.mktemp("dats"))
 
 
 def reconstructed(services: Services, capture: str, **fields: str) -> str:
