@@ -23,12 +23,12 @@ from rigs.camera import Camera
 
 # Each term's factor in the square of the error, both relative to white.
 WEIGHTS = {
-    "misfit": 0.51,  # misfit of the Gaussians
-    "edges": 4.9,  # the same where the depth jumps: there little shifts show
-    "holes": 0.00098,  # what shows in holes, where light passes through everything
+    "misfit": 0.53,  # misfit of the Gaussians
+    "edges": 5.5,  # the same where the depth jumps: there little shifts show
+    "holes": 0.001,  # what shows in holes, where light passes through everything
     "misfit outside": 42.0,  # misfit of the Gaussians, times their breadth and how far outside the viewer is
-    "light outside": 0.00012,  # the square of the light, times how far outside the viewer is
-    "holes outside": 0.53,  # what shows in holes, times the same
+    "light outside": 0.00022,  # the square of the light, times how far outside the viewer is
+    "holes outside": 0.49,  # what shows in holes, times the same
 }
 WIDEST_RAD = 1.0  # largest breadth of a Gaussian that counts
 FARTHEST = 20.0  # bound of how far outside a viewer is; a Gaussian that no camera has seen is looked at from there
