@@ -25,8 +25,8 @@ NO_REASON = "none was given"
 def looks_of(document: dict, day: str, reason: str = NO_REASON) -> list[dict]:
     """Return a look for each evaluation scene and revision among the rows of a bench's document.
 
-    `day` is a date as 2026-11-26. Rows without a revision of their own are of the document's. A row of a span is of a
-    run that has a row itself.
+    `day` is a date as 2026-11-26. Rows without a revision of their own are of the document's. Those of spans are
+    parts of runs, and do not count.
     """
     runs: dict[tuple[str, str], int] = {}
     for row in document["rows"]:

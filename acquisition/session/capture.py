@@ -58,7 +58,7 @@ class Capture:
         self.lead = 0
         self._stamps = None if rules.period_s is None else StampLog(rules.period_s)
         self._stamped_until_s = 0.0  # a pulse before it, on the camera's clock, would be among them
-        self._shown_s: float | None = None  # by its clock at plane 0: to show more then makes no plane early
+        self._shown_s: float | None = None  # what its clock shows at plane 0, which makes no plane early or late
         self._began_again = 0  # where the camera's plane 0 lies since it came back
         self._rules = rules
         self._dropped = 0
@@ -103,8 +103,8 @@ class Capture:
     def tell_clock(self) -> None:
         """Estimate the camera's clock from its sync pulses, for the manifest; where they cannot tell, do nothing.
 
-        Planes come late by what they were begun later, less what the clock is ahead in the middle of the recording, and
-        was not at plane 0 already. Those of a camera that was away lie where the host put them: nothing measured it.
+        Planes come late by what they were begun later, less what the clock has gained from plane 0 to the middle of the
+        recording. Those of a camera that was away lie where the host put them: nothing measured it.
         """
         rate_hz = self._rules.tick_rate_hz
         if self._stamps is None:

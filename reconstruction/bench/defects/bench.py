@@ -20,7 +20,7 @@ from acquisition.revision import code_revision
 from acquisition.scenes.catalog import BACKGROUNDS, DEVELOPMENT_SEEDS
 from acquisition.scenes.glass import Glass
 from acquisition.spikes.traits import Traits
-from reconstruction.bench.conventions import HOLDOUT, apart, kept, means, named
+from reconstruction.bench.conventions import HOLDOUT, apart, in_time, kept, means, named
 from reconstruction.bench.defects.recordings import Defect, recorded, straightened
 from reconstruction.bench.paper.digest import code_and_machine, this_code
 from reconstruction.errors import ReconstructionError
@@ -74,11 +74,12 @@ FEW = (BUILT, RIG_OFF, BUILT_BENT, TOGETHER)  # on the realistic scenes
 
 @dataclass(frozen=True)
 class Workshop:
-    """The folder of recordings and runs, the rig, and the length of the runs in steps."""
+    """The folder of recordings and runs, the rig, the length of a run in steps, and whether there is time for one."""
 
     work: Path
     rig: Rig
     steps: int = STEPS
+    time_left: Callable[[], bool] = lambda: True
 
     def row(self, subject: Subject, defect: Defect, training_seed: int, *, cured: bool = True) -> dict:
         """Return a run of a scene and seed with a defect, cured or not: measured now, or kept by this code."""
@@ -96,7 +97,7 @@ class Workshop:
             return apart(partial(_measured, path, self.work / f"{name}.run", config))
 
         key = code_and_machine() | {"choices": asdict(config)}
-        return about | kept(self.work / f"{name}.json", measure, key)
+        return about | kept(self.work / f"{name}.json", in_time(self.time_left, measure), key)
 
 
 def bench_defects(
@@ -116,17 +117,15 @@ def bench_defects(
     """
     document, work = BenchDocument("defects"), work.resolve() / this_code()
     work.mkdir(parents=True, exist_ok=True)
-    shop = Workshop(work, catalog_rig("ci3x3" if quick else "lab3x3"), QUICK_STEPS if quick else STEPS)
+    rig, steps = catalog_rig("ci3x3" if quick else "lab3x3"), QUICK_STEPS if quick else STEPS
+    shop = Workshop(work, rig, steps, time_left)
     todo = _todo(scenes, [], (replace(CLEAN, seeds=SEEDS[:1]), DEFECTS[0])) if quick else _todo(scenes, realistic)
     for number, (subject, defect, training_seed, cured) in enumerate(todo):
         scene, seed = subject
-        if not time_left():
-            document.omissions.append(f"{scene}, {defect.name}: no time was left")
-            continue
         progress(number / len(todo), f"{scene}, seed {seed}: {defect.name}, training {training_seed}")
         try:
             document.rows.append(shop.row(subject, defect, training_seed, cured=cured))
-        except AcquisitionError as error:
+        except (AcquisitionError, ReconstructionError) as error:
             document.omissions.append(f"{scene}, {defect.name}: {error}")
     document.omissions = list(dict.fromkeys(document.omissions))
     document.summary = costs(document.rows)

@@ -15,11 +15,10 @@ INTRODUCTION = """# Expected errors
 [uncertainty.json](uncertainty.json).
 
 The root mean square of render minus truth, over white, beside what was expected of it. Weights of the expectation were
-fitted on the other scenes, never on the one that a row is of. {alike} The rank correlation is that of blocks of 16x16
-pixels, as a mean over three instants. Distances are metres from the corner camera (beyond), or from the array's middle.
+fitted on other scenes, never on the one that a row is of, or on one that is like it: {alike}
+are the same things before other backgrounds. The rank correlation is that of blocks of 16x16 pixels, as a mean over
+three instants. Distances are metres from the corner camera (beyond), or from the array's middle.
 """
-UNLIKE = "Nor were they fitted on scenes that are like it: {}."
-LIKE = "But they were fitted on scenes that are like it: {}."
 
 
 def plot_uncertainty(path: Path, document: dict) -> None:
@@ -46,8 +45,7 @@ def plot_uncertainty(path: Path, document: dict) -> None:
 
 def write_page(path: Path, document: dict) -> None:
     """Write the tables of a document."""
-    scenes = f"{', '.join(f'`{scene}`' for scene in sorted(ALIKE))} are the same things before other backgrounds"
-    alike = (UNLIKE if all("fitted_on" in row for row in document["rows"]) else LIKE).format(scenes)
+    alike = ", ".join(f"`{scene}`" for scene in sorted(ALIKE))
     head = INTRODUCTION.format(revision=document["revision"], alike=alike, **document["device"])
     weights = [f"| {name.removeprefix('weight.')} | {value:g} |" for name, value in _weights(document)]
     parts = [head, _table(document["rows"]), "## Weights\n\nOf all ray-cast scenes together.\n\n| term | weight |"]

@@ -166,6 +166,7 @@ def test_the_bench_resumes_and_says_what_it_left_out(tmp_path, monkeypatch):
     again = bench_defects(scenes, drawn, tmp_path, silent)
     assert made == []
     assert again.rows == document.rows
+    assert bench_defects(scenes, drawn, tmp_path, silent, time_left=lambda: False).rows == document.rows
     monkeypatch.setattr(bench, "code_and_machine", lambda: {"code": "of a mend"})
     bench_defects(scenes, drawn, tmp_path, silent)
     assert len(made) == len(document.rows)

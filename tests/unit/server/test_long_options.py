@@ -4,7 +4,6 @@ import json
 
 import pytest
 
-from acquisition.bench_document import BenchDocument
 from acquisition.progress import silent
 from acquisition.scenes.catalog import (
     DEVELOPMENT_SEEDS,
@@ -15,25 +14,14 @@ from acquisition.scenes.catalog import (
 )
 from reconstruction.bench.long.bench import LongBench
 from server.cli.bench_asked import Asked
-from server.cli.bench_runs import BENCHES
 
 
 @pytest.fixture
-def chosen(monkeypatch, tmp_path):
-    """Make the bench that options ask for, without running it."""
-    made: list[LongBench] = []
-
-    def keep(self):
-        made.append(self)
-        return BenchDocument("long")
-
-    monkeypatch.setattr(LongBench, "run", keep)
-
-    def choose(**options) -> LongBench:
-        BENCHES["long"].run(Asked(tmp_path, lambda _: silent, tmp_path / "long.json", **options))
-        return made.pop()
-
-    return choose
+def chosen(unrun, tmp_path):
+    """Make the bench that options ask for, beside an earlier document."""
+    return lambda **options: unrun(
+        LongBench, "long", Asked(tmp_path, lambda _: silent, tmp_path / "long.json", **options)
+    )
 
 
 def test_only_development_scenes_are_as_long_as_they_may(chosen):

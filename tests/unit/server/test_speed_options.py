@@ -5,31 +5,17 @@ from pathlib import Path
 
 import pytest
 
-from acquisition.bench_document import BenchDocument
 from acquisition.progress import silent
 from acquisition.scenes.catalog import DEVELOPMENT, DEVELOPMENT_SEEDS, REALISTIC
 from reconstruction.bench.speed.bench import FULL, LARGE, LARGE_AGAIN, LARGE_QUICK, LARGE_SIZE, QUICK, SpeedBench
 from server.cli import bench_asked
 from server.cli.bench_asked import Asked
-from server.cli.bench_runs import BENCHES
 
 
 @pytest.fixture
-def chosen(monkeypatch, tmp_path):
-    """Make the bench that options ask for, without running it."""
-    made: list[SpeedBench] = []
-
-    def keep(self):
-        made.append(self)
-        return BenchDocument("speed")
-
-    monkeypatch.setattr(SpeedBench, "run", keep)
-
-    def choose(name="speed", **options) -> SpeedBench:
-        BENCHES[name].run(Asked(tmp_path, lambda _: silent, **options))
-        return made.pop()
-
-    return choose
+def chosen(unrun, tmp_path):
+    """Make the bench that options ask for."""
+    return lambda name="speed", **options: unrun(SpeedBench, name, Asked(tmp_path, lambda _: silent, **options))
 
 
 def test_the_full_bench_has_every_development_scene(chosen):
