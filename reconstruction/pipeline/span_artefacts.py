@@ -110,13 +110,17 @@ def _span_sources(run: RunFolder, recording: Recording, number: int, span: Span)
     return sources
 
 
-def moving_spans(run: RunFolder) -> list[int]:
-    """Return the numbers of the spans in which anything differs from the still scene, as two views or more see it."""
+def moving_spans(run: RunFolder) -> dict[int, float]:
+    """Return the spans in which anything differs from the still scene, as two views or more see it.
+
+    They are the shares of the pixels that differ, by the number of the span.
+    """
     packed = [run.read_array(MASKS.format(view=view)) for view in run.plan.views]
     pixels = np.stack([np.bitwise_count(masks).sum(axis=1) / (8 * masks.shape[1]) for masks in packed])
     seeing = np.stack([~run.read_array(BLIND.format(view=view)) for view in run.plan.views])
     shares = (pixels * seeing).sum(axis=0) / np.maximum(seeing.sum(axis=0), 1)
-    return np.flatnonzero((shares >= STILL_SHARE) & (seeing.sum(axis=0) >= LEAST_VIEWS)).tolist()
+    found = np.flatnonzero((shares >= STILL_SHARE) & (seeing.sum(axis=0) >= LEAST_VIEWS))
+    return dict(zip(found.tolist(), shares[found].tolist(), strict=True))
 
 
 def parts_to_learn(run: RunFolder) -> list[Part]:

@@ -53,7 +53,7 @@ def train_spans(
     write_tensors(run.checkpoint, state)
     run.document.warnings.pop("train", None)
     warn_if_missed(run, budget)
-    _warn_of_missing(run, training.folder, [name for name in names if name in given_up])
+    _warn_of_missing(run, training.folder, sorted(name for name in names if name in given_up))
     _record(training, scene, [int(name) for name in names])
 
 
@@ -62,7 +62,7 @@ def learn_part(training: SpanTraining, name: str) -> bool:
 
     Raises BadRunError for a part that the run does not have, or one whose turn has not come, and StoppedError.
     """
-    known = [one.name for one in training.parts]
+    known = [STILL, *sorted(one.name for one in training.parts[1:])]
     if name not in known:
         names = ", ".join(known[:4]) + (" ..." if len(known) > 4 else "")
         raise BadRunError(f"found the part {name}", f"one that is learnt: {names}", where=training.run.path)

@@ -6,7 +6,7 @@ Light enough for a process that hands parts out and learns none: it needs neithe
 import json
 import os
 import shutil
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,14 +14,15 @@ from pathlib import Path
 from acquisition.durable import write_json
 
 STILL = "still"
-STILL_WEIGHT = 1.5  # trainings of a span that the training of the still scene is worth
+STILL_WEIGHT = 1.5  # trainings of a usual span that the training of the still scene is worth
+LEAST_WEIGHT = 0.25  # the same of a span that shows little: its points and bodies take a while too
 LISTED = "images/parts.json"  # what there is to hand out, as the images stage found it
 _FOLDER, _CONTENT, _FAILED = "spans", ".pt", ".failed.json"
 
 
 @dataclass(frozen=True)
 class Part:
-    """A part by its name: `weight` in trainings of a span."""
+    """A part by its name: `weight` in trainings of a usual span."""
 
     name: str
     weight: float = 1.0
@@ -41,9 +42,14 @@ def span_name(number: int) -> str:
     return f"{number:06d}"
 
 
-def parts_of(moving: Sequence[int]) -> list[Part]:
-    """Return the still scene and the spans that move, by their numbers."""
-    return [Part(STILL, STILL_WEIGHT), *(Part(span_name(number)) for number in moving)]
+def parts_of(shown: Mapping[int, float]) -> list[Part]:
+    """Return the still scene, then the spans, those first that need most: as much as they show.
+
+    `shown` has the share of the pixels that differ from the still scene, by the number of the span.
+    """
+    usual = sum(shown.values()) / max(1, len(shown))
+    spans = [Part(span_name(number), max(share / usual, LEAST_WEIGHT)) for number, share in shown.items()]
+    return [Part(STILL, STILL_WEIGHT), *sorted(spans, key=lambda part: -part.weight)]
 
 
 def shares_of(parts: list[Part]) -> dict[str, tuple[float, float]]:

@@ -33,6 +33,7 @@ COARSE_UNTIL = 0.75  # share of the training after which pictures are whole
 GAUSSIAN_FLOATS = 12  # numbers of a still Gaussian
 MOVING = 2.5  # times the share of the pixels that move: the share of the Gaussians that do
 LEAST_MOVING, MOST_MOVING = 0.1, 0.6  # of all Gaussians
+STILL_ONCE = 2  # times the still Gaussians of one span that several have, which learn them once
 BEST_METHOD = "adaptive"  # best image method without a network, on single images
 
 
@@ -65,7 +66,7 @@ def make_plan(
     if not method.moves:
         masks = {view: np.zeros_like(mask) for view, mask in masks.items()}
     images, supervision = _choose_targets(config, work, _share(masks), method, decisions)
-    still, moving = _split(work.gaussians, method, masks)
+    still, moving = _split(work.gaussians, method, masks, capped=config.gaussians is not None)
     decisions += _economies(config, work, _share(masks), (still, moving))
     grey = "a spike carries no colour; against three channels of third-degree harmonics"
     colour = "one grey channel, no view dependence", grey, "none"
@@ -288,9 +289,10 @@ def _choose_model(
     return "bases"
 
 
-def _split(cap: int, method: Method, masks: Mapping[str, NDArray[np.bool_]]) -> tuple[int, int]:
-    """Split the cap into still and moving Gaussians: movers get more than their share of the pixels."""
+def _split(usual: int, method: Method, masks: Mapping[str, NDArray[np.bool_]], *, capped: bool) -> tuple[int, int]:
+    """Split `usual` Gaussians: movers get more than their share of pixels; spans, if not `capped`, more still ones."""
     if not method.moves:
-        return cap, 0
-    moving = round(cap * min(MOST_MOVING, max(LEAST_MOVING, MOVING * _share(masks))))
-    return cap - moving, moving
+        return usual, 0
+    moving = round(usual * min(MOST_MOVING, max(LEAST_MOVING, MOVING * _share(masks))))
+    spans = max(map(len, masks.values()))
+    return (usual - moving) * (STILL_ONCE if spans > 1 and not capped else 1), moving

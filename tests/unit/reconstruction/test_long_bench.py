@@ -82,7 +82,7 @@ def test_the_whole_is_compared_with_its_parts(bench):
 
 
 def test_a_part_is_compared_with_the_span_of_the_same_planes():
-    """Spans at rest are joined, so that their numbers are not those of parts."""
+    """Rows of older revisions have spans at rest in one, so that their numbers are not those of parts."""
     spans = [SPANS[0] | {"last_tick": 799}, SPANS[2]]
     rows = [{"part": SPAN, "clip": "a", "number": i} | span for i, span in enumerate(spans)]
     whole = {"part": WHOLE, "clip": "a", "seam_ratio": 1.2} | end(37.0, planes=1200)
@@ -104,19 +104,32 @@ def test_a_clip_without_parts_or_spans_says_nothing():
     )
 
 
-def test_a_span_is_scored_on_the_instants_of_the_part_alone(monkeypatch):
-    """Ends are the worst, so that fewer instants give them more weight."""
-    seen = []
+def trained_in(spans: list[Span], planes: int = 1200) -> Any:
+    """Return a run of so many planes in `spans`, whose truth has every 20th plane."""
+    known = SimpleNamespace(planes=lambda camera_id: list(range(0, planes, 20)))
+    held_out = SimpleNamespace(camera=SimpleNamespace(id="cam11"))
+    run = SimpleNamespace(plan=SimpleNamespace(spans=spans))
+    return SimpleNamespace(
+        cloud=None, held_out=held_out, truth=known, run=run, recording=SimpleNamespace(planes=planes)
+    )
+
+
+@pytest.fixture
+def seen(monkeypatch):
+    """The planes that were scored, all of them 40 dB."""
+    asked = []
 
     def score_at(cloud, held_out, truth, planes):
-        seen.append(planes)
+        asked.append(planes)
         return {"psnr_db": 40.0, "ssim": 0.9}
 
     monkeypatch.setattr(long_spans, "score_at", score_at)
-    known = SimpleNamespace(planes=lambda camera_id: list(range(0, 1200, 20)))
-    run = SimpleNamespace(plan=SimpleNamespace(spans=[Span(400 * i, 400 * i + 400) for i in range(3)]))
-    held_out = SimpleNamespace(camera=SimpleNamespace(id="cam11"))
-    trained: Any = SimpleNamespace(cloud=None, held_out=held_out, truth=known, run=run)
+    return asked
+
+
+def test_a_span_is_scored_on_the_instants_of_the_part_alone(seen):
+    """Ends are the worst, so that fewer instants give them more weight."""
+    trained = trained_in([Span(400 * i, 400 * i + 400) for i in range(3)])
     found = long_spans.scored_spans(trained, SPANS)
     alone = spread(list(range(0, 400, 20)), INSTANTS)
     assert seen == [[plane + 400 * i for plane in alone] for i in range(3)]
@@ -124,6 +137,24 @@ def test_a_span_is_scored_on_the_instants_of_the_part_alone(monkeypatch):
     assert found[1] == ends | {"psnr_db": 40.0, "instants": INSTANTS}
     trained.truth = None
     assert long_spans.scored_spans(trained, SPANS) == SPANS
+
+
+def test_spans_that_were_joined_are_scored_one_by_one(seen):
+    """So a part that was reconstructed alone has something to be compared with wherever it lies."""
+    told = [SPANS[0], SPANS[1] | {"last_tick": 1199}]
+    found = long_spans.scored_spans(trained_in([Span(0, 400), Span(400, 1200)]), told)
+    assert [(row["first_tick"], row["last_tick"], row["seconds"]) for row in found] == [
+        (0, 399, 15.0),
+        (400, 799, 7.5),
+        (800, 1199, 7.5),
+    ]
+    assert [planes[0] // 400 for planes in seen] == [0, 1, 2]
+
+
+def test_a_span_that_was_cut_otherwise_is_scored_as_it_is(seen):
+    told = [{"first_tick": 0, "last_tick": 599, "seconds": 9.0}, {"first_tick": 600, "last_tick": 1199, "seconds": 9.0}]
+    found = long_spans.scored_spans(trained_in([Span(0, 600), Span(600, 1200)]), told)
+    assert [(row["first_tick"], row["last_tick"], row["seconds"]) for row in found] == [(0, 599, 9.0), (600, 1199, 9.0)]
 
 
 def test_clips_of_an_earlier_document_stay_where_they_are_not_measured_again(bench):
@@ -164,7 +195,7 @@ def test_page_and_picture_have_every_run(bench, tmp_path):
     document = bench[0].run().to_json()
     text = page(document)
     said = ["## carried_boxes-1200", "| in spans | 1,200 |", "| part 2 alone | 400 |", "| `stg` in one piece | 1,200 |"]
-    said += ["| Gaussians |", "| 48,000 |", "fewer Gaussians", "on 4 instants"]
+    said += ["| Gaussians |", "| 48,000 |", "fewer Gaussians", "on 4 instants", "were joined"]
     for words in (*said, "| seconds a plane, over"):
         assert words in text
     assert "A development scene. Revision abc, " in text

@@ -7,7 +7,19 @@ import pytest
 import torch
 
 from reconstruction.pipeline.part_file import SILENT_S, PartFile
-from reconstruction.run.parts import STILL, STILL_WEIGHT, Failure, Part, PartFolder, parts_of, shares_of, span_name
+from reconstruction.run.parts import (
+    LEAST_WEIGHT,
+    STILL,
+    STILL_WEIGHT,
+    Failure,
+    Part,
+    PartFolder,
+    parts_of,
+    shares_of,
+    span_name,
+)
+
+EVEN = {0: 0.3, 1: 0.3, 4: 0.3}  # shares of the pixels that three spans show
 
 
 def names(parts):
@@ -18,7 +30,7 @@ def names(parts):
 def folder(tmp_path):
     (tmp_path / "images").mkdir()
     made = PartFolder(tmp_path)
-    made.note(parts_of([0, 1, 4]))
+    made.note(parts_of(EVEN))
     return made
 
 
@@ -27,10 +39,22 @@ def keep(folder, name, learn=lambda beat: {"content": torch.ones(2)}, **how):
 
 
 def test_shares_are_of_all_weight_and_leave_nothing_out():
-    shares = shares_of(parts_of([0, 1]))
+    shares = shares_of(parts_of({0: 0.2, 1: 0.2}))
     assert shares[STILL] == (0.0, STILL_WEIGHT / (STILL_WEIGHT + 2))
     assert shares[span_name(1)][1] == pytest.approx(1.0)
-    assert shares_of(parts_of([])) == {STILL: (0.0, 1.0)}
+    assert shares_of(parts_of({})) == {STILL: (0.0, 1.0)}
+
+
+def test_spans_that_show_more_come_first_and_weigh_more():
+    still, *spans = parts_of({0: 0.1, 2: 0.6, 3: 0.2, 7: 0.3})
+    assert still == Part(STILL, STILL_WEIGHT)
+    assert names(spans) == [span_name(number) for number in (2, 7, 3, 0)]
+    assert [part.weight for part in spans] == pytest.approx([2.0, 1.0, 2 / 3, 1 / 3])
+
+
+def test_a_span_that_shows_next_to_nothing_has_time_for_its_points():
+    *_, last = parts_of({0: 0.6, 1: 0.0006})
+    assert last == Part(span_name(1), LEAST_WEIGHT)
 
 
 def test_parts_are_noted_and_a_run_without_has_none(folder, tmp_path):

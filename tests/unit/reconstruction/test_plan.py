@@ -15,7 +15,7 @@ from reconstruction.methods.catalogue import METHODS
 from reconstruction.methods.definition import SWEEPS
 from reconstruction.run.configuration import CHOICES, ReconstructionConfig
 from reconstruction.run.decisions import Plan
-from reconstruction.run.plan import _choose_sizes, make_plan
+from reconstruction.run.plan import STILL_ONCE, _choose_sizes, make_plan
 from reconstruction.run.prices import Work
 from rigs.errors import RigError
 from rigs.toml import catalog_rig
@@ -262,6 +262,17 @@ def test_the_cap_of_gaussians_is_the_operators_or_follows_the_pixels():
     assert asked.still_gaussians == 77
     plan, _, _ = make_plan(ReconstructionConfig(), RIG.scaled(400, 250), streams())
     assert plan.still_gaussians == METHODS["static"].gaussians
+
+
+def test_spans_share_more_gaussians_of_what_stands_still_but_for_a_cap():
+    def split(**choices):
+        plan, _, _ = make_plan(ReconstructionConfig(**choices), RIG, streams(moving=True))
+        return np.array([plan.still_gaussians, plan.moving_gaussians])
+
+    usual = 2 * 40 * 26
+    assert split(span=64).tolist() == (split(span=64, gaussians=usual) * [STILL_ONCE, 1]).tolist()
+    assert split().tolist() == split(gaussians=usual).tolist()
+    assert sum(split(span=64, gaussians=usual)) == usual
 
 
 @pytest.mark.parametrize(
