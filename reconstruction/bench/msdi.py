@@ -14,10 +14,11 @@ from acquisition.durable import write_durably
 from acquisition.progress import Progress, part
 from acquisition.revision import code_revision
 from acquisition.scenes.misplaced import misplaced
-from reconstruction.bench.conventions import kept, made_by, named
+from reconstruction.bench.conventions import in_time, kept, made_by, named
 from reconstruction.bench.paper.bench import NOT_RUN, UNPRINTED, lacks_runs
 from reconstruction.bench.paper.digest import networks_code
 from reconstruction.bench.paper.tables import markdown
+from reconstruction.errors import ReconstructionError
 from reconstruction.networks.msdi.network import Msdi, trained_msdi
 from reconstruction.networks.training import msdi_validation
 from reconstruction.networks.training.clips import VIEW_KINDS, MultiviewClips, write_clips
@@ -65,7 +66,7 @@ def bench_msdi(
 ) -> BenchDocument:
     """Train every arm in `work`, where a stopped bench resumes, and score it there and on simulated `recordings`.
 
-    Without `time_left` no further arm is begun.
+    Without `time_left` no further arm is begun, and those that were trained before are told.
     """
     lengths, code = QUICK if quick else Lengths(), networks_code()
     document, clips = BenchDocument("msdi"), work / f"clips-{code}"
@@ -74,14 +75,14 @@ def bench_msdi(
     views = msdi_validation.scored_views(random, recordings, part(progress, 0.1, 0.2))
     scored = [misplaced_views(one, SEED + number) for number, one in enumerate(views)]
     for number, (arm, choices) in enumerate(ARMS.items()):
-        if not time_left():
-            document.omissions.append(f"{arm}: {NOT_RUN}")
-            continue
         along = part(progress, 0.2 + 0.8 * number / len(ARMS), 0.2 + 0.8 * (number + 1) / len(ARMS))
         folder = work / f"{_folder(arm)}-{code}"  # a training goes on by the code that it began with
         learn = partial(_learnt, arm, folder, clips, lengths, scored, along)
         key = choices | {"steps": lengths.steps, "networks": code, "rigs_off": RANDOM_ERROR}
-        document.rows += kept(work / f"{_folder(arm)}.json", learn, key)["rows"]
+        try:
+            document.rows += kept(work / f"{_folder(arm)}.json", in_time(time_left, learn), key)["rows"]
+        except ReconstructionError as error:
+            document.omissions.append(f"{arm}: {NOT_RUN}, {error}")
     shipped = msdi_validation.scores_by_scene(trained_msdi(), scored)
     document.rows += [{"arm": SHIPPED_ARM, "scene": scene, **scores} for scene, scores in shipped.items()]
     for row in document.rows:

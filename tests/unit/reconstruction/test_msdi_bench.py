@@ -95,3 +95,9 @@ def test_without_time_the_table_is_not_printed(work, tmp_path):
     assert len(document["omissions"]) == len(ARMS) + 1
     write_page(tmp_path / "msdi.md", document)
     assert "still lacks runs" in (tmp_path / "msdi.md").read_text()
+
+
+def test_without_time_arms_that_were_trained_are_told(work, told):
+    found = bench_msdi([], work, silent, quick=True)
+    again = bench_msdi([], work, silent, quick=True, time_left=lambda: False)
+    assert (again.rows, again.omissions, len(told)) == (found.rows, found.omissions, len(ARMS))
