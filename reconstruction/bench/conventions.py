@@ -16,6 +16,7 @@ from acquisition.durable import write_json
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from acquisition.scenes.catalog import (
+    BACKGROUNDS,
     DEVELOPMENT,
     DEVELOPMENT_SEEDS,
     EVALUATION_SEEDS,
@@ -42,7 +43,7 @@ VIEWS = tuple(sorted(_AWAY_M, key=_AWAY_M.__getitem__)[1:])  # all cameras but H
 
 def seed_of(scene: str, number: int = 0) -> int:
     """Return a scene's seed by its number; benches use number 0 where they name none."""
-    developed = scene in (*DEVELOPMENT, *REALISTIC, *LONG_DEVELOPMENT, *REALISTIC_LONG)
+    developed = scene in (*DEVELOPMENT, *BACKGROUNDS, *REALISTIC, *LONG_DEVELOPMENT, *REALISTIC_LONG)
     seeds = (*DEVELOPMENT_SEEDS[1:], DEVELOPMENT_SEEDS[0]) if developed else EVALUATION_SEEDS
     return seeds[number]
 

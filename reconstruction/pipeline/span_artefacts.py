@@ -111,9 +111,9 @@ def _span_sources(run: RunFolder, recording: Recording, number: int, span: Span)
 
 
 def moving_spans(run: RunFolder) -> dict[int, float]:
-    """Return the spans in which anything differs from the still scene, as two views or more see it.
+    """Return the share of the pixels that differ from the still scene, by the number of the span.
 
-    They are the shares of the pixels that differ, by the number of the span.
+    Spans in which nothing does, or that fewer than two views see, are left out.
     """
     packed = [run.read_array(MASKS.format(view=view)) for view in run.plan.views]
     pixels = np.stack([np.bitwise_count(masks).sum(axis=1) / (8 * masks.shape[1]) for masks in packed])

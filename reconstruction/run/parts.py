@@ -43,7 +43,7 @@ def span_name(number: int) -> str:
 
 
 def parts_of(shown: Mapping[int, float]) -> list[Part]:
-    """Return the still scene, then the spans, those first that need most: as much as they show.
+    """Return the still scene, then the spans, the heaviest first: a span weighs as much as it shows.
 
     `shown` has the share of the pixels that differ from the still scene, by the number of the span.
     """

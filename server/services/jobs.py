@@ -12,7 +12,7 @@ from server.services.admission import Admission
 from server.services.forecast import Forecast, Outlook
 from server.services.listing import Document, Found, is_resumable, job_document, page_of, without_old_error
 from server.services.queue import Key, Queue
-from server.services.results import refuse_too_many
+from server.services.results import listable
 from server.services.work_order import page_in_work_order
 from server.store.entries import Filter
 from server.store.store import Store
@@ -155,7 +155,7 @@ class JobService:
     def _entry(self, job_id: str, request: JobBase, waits: bool) -> Entry:
         target = self._admission.target(request, waits=waits)
         if not waits:
-            refuse_too_many(self._store.folder, request, target)
+            request = listable(self._store.folder, request, target)
         kind = request.model_dump()["type"]
         return self._queue.entry(
             "job",

@@ -1,4 +1,4 @@
-"""Counts the files that a job would make where its request tells: nobody could fetch more than are listed."""
+"""Counts the files that a job would make, where its request tells: nobody could fetch more than are listed."""
 
 from contextlib import suppress
 
@@ -19,25 +19,35 @@ _OF_A_DATASET = 3  # cameras, points and manifest beside the pictures
 _STRIDE = 20  # planes from image to image where none are named
 
 
-def refuse_too_many(folder: DataFolder, request: JobBase, target: Entry) -> None:
-    """Raise UnknownReferenceError where a job on `target` would make more files than are listed.
+def listable(folder: DataFolder, request: JobBase, target: Entry) -> JobBase:
+    """Return the request of a job on `target`, with fewer images where it names none and too many would be made.
 
-    Where a recording or run cannot be read nothing is counted: the job says what is wrong with it.
+    Raises UnknownReferenceError where it asks for more files than are listed. Where a recording or run cannot be read
+    nothing is counted: the job says what is wrong with it.
     """
     with suppress(BadRecordingError, BadRunError, RigError):
         if isinstance(request, ImagesRequest):
             recording = Recording.open(folder.recording(target.id))
-            planes = _planes(request.ticks, recording.planes)
-            _expect_few(len(recording.camera_ids), planes, _OF_AN_IMAGE, 0, "planes by `ticks`")
+            cameras, planes = len(recording.camera_ids), recording.planes
+            ticks = request.ticks or _spread(planes, MOST // (cameras * _OF_AN_IMAGE))
+            _expect_few(cameras, _planes(ticks or f"0:{planes}:{_STRIDE}"), _OF_AN_IMAGE, 0, "planes by `ticks`")
+            return request.model_copy(update={"ticks": ticks})
         elif isinstance(request, ExportRequest) and request.format == "nerfstudio":
             run = RunFolder.open(folder.run(target.id))
             planes = min(request.frames or FRAMES, _ticks(folder, request, target, run))
             _expect_few(len(run.plan.views), planes, 1, _OF_A_DATASET, "`frames`")
+    return request
 
 
-def _planes(asked: str | None, there: int) -> int:
-    """Return how many planes A:B:STEP names, or how many images are made by themselves."""
-    first, end, step = (*map(int, asked.split(":")), 1)[:3] if asked else (0, there, _STRIDE)
+def _spread(planes: int, most: int) -> str | None:
+    """Return so many of the planes as A:B:STEP; None where those that are made by themselves are no more."""
+    stride = -(-planes // max(1, most))
+    return f"0:{planes}:{stride}" if stride > _STRIDE else None
+
+
+def _planes(asked: str) -> int:
+    """Return how many planes A:B:STEP names."""
+    first, end, step = (*map(int, asked.split(":")), 1)[:3]
     return len(range(first, end, step))
 
 

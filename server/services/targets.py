@@ -77,7 +77,8 @@ def _names(entry: str, target: Target) -> bool:
 def _is_public(text: str) -> bool:
     address = ipaddress.ip_address(text.partition("%")[0])
     if isinstance(address, ipaddress.IPv6Address) and (
-        address.ipv4_mapped or address.sixtofour or address.teredo or address in _TRANSLATED
-    ):  # an IPv4 address inside
+        (address.ipv4_mapped or address.sixtofour or address.teredo or address in _TRANSLATED)  # an IPv4 address inside
+        or address.is_site_local  # fec0::/10, which Python calls global
+    ):
         return False
     return address.is_global and not address.is_multicast and not address.is_reserved

@@ -211,6 +211,7 @@ def test_a_name_that_turns_private_is_not_spoken_to(services: Services, receiver
             "::",
             "fe80::1%eth0",
             "fd00::1",
+            "fec0::1",
             "::ffff:10.0.0.1",
             "64:ff9b::a00:1",
             "2002:a00:1::",

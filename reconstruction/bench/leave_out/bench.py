@@ -21,9 +21,10 @@ from acquisition.durable import made_aside
 from acquisition.progress import Progress
 from acquisition.recording.reader import Recording
 from acquisition.session.record import simulate
-from reconstruction.bench.conventions import apart, kept
+from reconstruction.bench.conventions import apart, in_time, kept
 from reconstruction.bench.leave_out.cases import BLIND, CASES, GREY, MISSED, PLAN, UNWATCHED, Arm, Job, PlanCase
 from reconstruction.bench.paper.digest import code_and_machine, this_code
+from reconstruction.errors import ReconstructionError
 from rigs.toml import catalog_rig
 
 SIZE = (200, 125)  # pixels of a clip
@@ -38,14 +39,18 @@ OMISSIONS = (
 
 @dataclass(frozen=True)
 class Runs:
-    """The folder of the runs, and their length in steps and in seconds (None: at equal steps alone)."""
+    """The folder of the runs, and their length in steps and in seconds (None: at equal steps alone).
+
+    Without `time_left` none is begun.
+    """
 
     work: Path
     steps: int = STEPS
     budget_s: float | None = BUDGET_S
+    time_left: Callable[[], bool] = lambda: True
 
     def row(self, case: PlanCase, arm: Arm, decision: str, budget_s: float | None = None) -> dict:
-        """Return the run of a case by an arm: measured now, or found in `work`."""
+        """Return the run of a case by an arm: measured now, or found in `work`; raises ReconstructionError."""
         extent = f"{budget_s:g}s" if budget_s else f"{self.steps}"
         name = f"{case.name}-{arm.name}-{extent}"
         about = {"case": case.name, "scene": case.scene, "seed": case.seed, "decision": decision}
@@ -56,7 +61,7 @@ class Runs:
             return apart(partial(_measured, Job(recorded(case, self.work), arm, self.work / f"{name}.run", *length)))
 
         key = code_and_machine() | {"arm": asdict(arm)}
-        return about | kept(self.work / f"{name}.json", measure, key)
+        return about | kept(self.work / f"{name}.json", in_time(self.time_left, measure), key)
 
 
 def bench_leave_out(
@@ -69,23 +74,25 @@ def bench_leave_out(
 ) -> BenchDocument:
     """Run every case by its plan, with every choice switched, and with each of its decisions.
 
-    `quick`: the first case alone, in few steps. Without `time_left` no further case is begun. Recordings and runs lie
-    in a folder of `work` that this code has of its own; a run found there is not repeated, so that a stopped bench
-    resumes.
+    `quick`: the first case alone, in few steps. Without `time_left` no further run is begun, and a case that lacks one
+    is left out. Recordings and runs lie in a folder of `work` that this code has of its own; a run found there is not
+    repeated, so that a stopped bench resumes.
     """
     document, work = BenchDocument("leave-out"), work / this_code()
     work.mkdir(parents=True, exist_ok=True)
-    runs = Runs(work, QUICK_STEPS, None) if quick else Runs(work)
-    todo = list(cases[:1] if quick else cases)
-    if not quick:
-        progress(0.0, f"{MISSED.name}: {MISSED.scene}, seed {MISSED.seed}")
-        _mistaken(document, runs)
+    runs = Runs(work, QUICK_STEPS, None, time_left) if quick else Runs(work, time_left=time_left)
+    todo = list(cases[:1] if quick else [MISSED, *cases])
     for number, case in enumerate(todo):
-        if not time_left():
-            document.omissions.append(f"{case.name}: no time was left")
+        progress(number / len(todo), f"{case.name}: {case.scene}, seed {case.seed}")
+        found, compare = BenchDocument("leave-out"), _mistaken if case is MISSED else _compare
+        try:
+            compare(found, runs, case)
+        except ReconstructionError as error:
+            document.omissions.append(f"{case.name}: {error}")
             continue
-        progress((number + 1) / (len(todo) + 1), f"{case.name}: {case.scene}, seed {case.seed}")
-        _compare(document, runs, case)
+        document.rows += found.rows
+        document.summary |= found.summary
+        document.omissions += found.omissions
     document.omissions += OMISSIONS
     progress(1.0, f"{len(document.rows)} runs")
     return document
@@ -132,17 +139,17 @@ def claims(key: str, plan: dict, decision: str) -> dict[str, float]:
     return {f"{key}.{name}": said[k] * unit for name, (k, unit) in units.items() if said.get(k) is not None}
 
 
-def _mistaken(document: BenchDocument, runs: Runs) -> None:
-    """Add a plan that took a mover for still: undone by the watch, and left as it is."""
-    watched, left = runs.row(MISSED, BLIND, "watch"), runs.row(MISSED, UNWATCHED, "watch")
+def _mistaken(document: BenchDocument, runs: Runs, case: PlanCase) -> None:
+    """Add a case whose plan took a mover for still: undone by the watch, and left as it is."""
+    watched, left = runs.row(case, BLIND, "watch"), runs.row(case, UNWATCHED, "watch")
     document.rows += [watched, left]
-    gains = costs(MISSED.name, left, watched)
+    gains = costs(case.name, left, watched)
     document.summary |= {k.replace("cost", "gained"): v for k, v in gains.items() if k.endswith("cost_db")}
     facts = watched.get("decisions", {}).get("watch", {}).get("facts", {})
     found = facts.get("pixels", 0) > 0
-    document.summary[f"{MISSED.name}.found"] = float(found)
+    document.summary[f"{case.name}.found"] = float(found)
     if found:
-        document.summary[f"{MISSED.name}.found_at_step"] = float(facts["step"])
+        document.summary[f"{case.name}.found_at_step"] = float(facts["step"])
 
 
 def _measured(job: Job) -> dict:

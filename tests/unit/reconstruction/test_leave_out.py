@@ -98,6 +98,15 @@ def test_the_document_has_every_case_and_nothing_is_run_twice_by_one_code(made, 
     assert (tmp_path / "a.png").stat().st_size > 1000
 
 
+def test_without_time_cases_that_were_measured_are_told_and_others_are_left_out(made, tmp_path):
+    found = bench_leave_out(tmp_path, silent, cases=CASES[:1])
+    made.clear()
+    late = bench_leave_out(tmp_path, silent, cases=CASES[:2], time_left=lambda: False)
+    assert not made
+    assert (late.rows, late.summary) == (found.rows, found.summary)
+    assert f"{CASES[1].name}: no time was left" in late.omissions
+
+
 def test_a_quick_bench_has_equal_steps_of_one_case_alone(made, tmp_path):
     document = bench_leave_out(tmp_path, silent, quick=True)
     assert {row["case"] for row in document.rows} == {CASES[0].name}

@@ -59,15 +59,30 @@ def asked(http: TestClient, **body: object) -> tuple[int, str]:
 
 
 def test_more_images_than_can_be_listed_are_refused(http: TestClient, capture: str) -> None:
-    """A capture of 60 planes has three images a camera by itself."""
     before = http.get("/v1/jobs").json()
     images = {"type": "images", "method": "tfi", "capture": capture}
     said = "found 81 files, of 9 cameras at 3 planes, expected at most 80, which can be listed; ask for at most 2"
-    assert asked(http, **images) == (422, f"{said} planes by `ticks`")
-    assert asked(http, **images, ticks="0:60:20")[0] == 422
-    assert http.post("/v1/jobs:batch", json={"jobs": [images | {"ticks": "0:1"}, images]}).status_code == 422
+    many = images | {"ticks": "0:60:20"}
+    assert asked(http, **many) == (422, f"{said} planes by `ticks`")
+    assert http.post("/v1/jobs:batch", json={"jobs": [images | {"ticks": "0:1"}, many]}).status_code == 422
     assert http.get("/v1/jobs").json() == before
     assert asked(http, **images, ticks="0:60:30")[0] == 202
+
+
+@pytest.mark.parametrize(("most", "ticks"), [(81, None), (80, "0:60:30"), (27, "0:60:60"), (26, None)])
+def test_without_planes_as_many_images_are_made_as_can_be_listed(
+    http: TestClient, capture: str, monkeypatch: pytest.MonkeyPatch, most: int, ticks: str | None
+) -> None:
+    """A capture of 60 planes has three images a camera by itself, of three files each."""
+    monkeypatch.setattr(results, "MOST", most)
+    images = {"type": "images", "method": "tfi", "capture": capture}
+    answers = [http.post("/v1/jobs", json=images, headers={"Idempotency-Key": f"images-{most}"}) for _ in range(2)]
+    if most < 27:  # one image of each camera
+        assert {answer.status_code for answer in answers} == {422}
+        return
+    first, again = (answer.json() for answer in answers)
+    assert first["id"] == again["id"]
+    assert first["request"]["ticks"] == again["request"]["ticks"] == ticks
 
 
 def test_a_dataset_of_more_pictures_than_can_be_listed_is_refused(http: TestClient, job: str) -> None:
