@@ -12,6 +12,7 @@ import os
 import sys
 import tempfile
 import time
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -39,7 +40,10 @@ def tasks_of(long: Mapping[str, Any]) -> tuple[str, dict[str, float]]:
     """Return the longest recording of a document of `bench long`, and the seconds of each of its tasks by name."""
     whole = max((row for row in long["rows"] if row["part"] == "whole"), key=lambda row: row["planes"])
     spans = [row for row in long["rows"] if row["part"] == "span" and row["clip"] == whole["clip"]]
-    moving = [row["seconds"] for row in spans if row.get("seconds")]
+    by_span: dict[int, float] = defaultdict(float)
+    for place, row in enumerate(spans):  # several of them were learnt as one span
+        by_span[row.get("span", place)] += row.get("seconds", 0.0)
+    moving = [seconds for seconds in by_span.values() if seconds]
     seconds = {stage: whole[f"seconds.{stage}"] for stage in STAGES}
     still = whole["seconds.train"] - sum(moving)
     return whole["clip"], seconds | {"still": still} | {f"{n:06d}": s for n, s in enumerate(moving)}

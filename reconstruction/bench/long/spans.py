@@ -12,20 +12,20 @@ from reconstruction.truth import spread
 def scored_spans(trained: Trained, told: Sequence[dict]) -> list[dict]:
     """Return the rows of spans that a report `told`, with scores and their number of `instants` in place of its own.
 
-    The report takes fewer instants of a span than of a whole recording. Where spans were joined, each of them has a
-    row, and its share of their seconds. A span without truth has no scores.
+    The report takes fewer instants of a span than of a whole recording. Where spans were joined into the one whose
+    number is `span`, each of them has a row, and its share of the seconds. A span without truth has no scores.
     """
     camera, truth = trained.held_out, trained.truth
     if camera is None or truth is None:
         return list(told)
     rows, known, parts = [], truth.planes(camera.camera.id), cut(trained.recording.planes)
-    for row, span in zip(told, trained.run.plan.spans, strict=True):
+    for number, (row, span) in enumerate(zip(told, trained.run.plan.spans, strict=True)):
         joined = _within(span, parts)
         for part in joined:
             planes = spread([plane for plane in known if part.first <= plane < part.last], INSTANTS)
             scores = score_at(trained.cloud, camera, truth, planes) if planes else {}
-            own = {key: value for key, value in row.items() if key not in SCORES} | {"instants": len(planes)}
-            own |= {"first_tick": row["first_tick"] + part.first - span.first}
+            own = {key: value for key, value in row.items() if key not in SCORES}
+            own |= {"instants": len(planes), "span": number, "first_tick": row["first_tick"] + part.first - span.first}
             own |= {"last_tick": own["first_tick"] + len(part) - 1, "seconds": row["seconds"] / len(joined)}
             rows.append(own | {name: scores[name] for name in SCORES if name in scores})
     return rows

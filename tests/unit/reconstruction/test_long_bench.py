@@ -134,7 +134,7 @@ def test_a_span_is_scored_on_the_instants_of_the_part_alone(seen):
     alone = spread(list(range(0, 400, 20)), INSTANTS)
     assert seen == [[plane + 400 * i for plane in alone] for i in range(3)]
     ends = {key: SPANS[1][key] for key in ("first_tick", "last_tick", "seconds")}
-    assert found[1] == ends | {"psnr_db": 40.0, "instants": INSTANTS}
+    assert found[1] == ends | {"span": 1, "psnr_db": 40.0, "instants": INSTANTS}
     trained.truth = None
     assert long_spans.scored_spans(trained, SPANS) == SPANS
 
@@ -148,6 +148,7 @@ def test_spans_that_were_joined_are_scored_one_by_one(seen):
         (400, 799, 7.5),
         (800, 1199, 7.5),
     ]
+    assert [row["span"] for row in found] == [0, 1, 1]
     assert [planes[0] // 400 for planes in seen] == [0, 1, 2]
 
 

@@ -23,6 +23,12 @@ def test_the_tasks_are_those_of_the_longest_recording_and_what_rests_is_the_stil
     assert tasks == {**dict.fromkeys(STAGES, 2.0), "still": 8.0, "000000": 10.0, "000001": 12.0}
 
 
+def test_spans_that_were_joined_are_one_task():
+    joined = [{"part": "span", "clip": "long", "seconds": 4.0, "span": span} for span in (0, 1, 1)]
+    whole = [row for row in LONG["rows"] if row["part"] == "whole"]
+    assert tasks_of({"rows": [*whole, *joined]})[1].items() >= {"000000": 4.0, "000001": 8.0, "still": 18.0}.items()
+
+
 def test_each_number_of_workers_is_compared_with_one_of_its_kind():
     rows = [
         {"part": "worked", "workers": 1, "seconds": 100.0},
