@@ -113,9 +113,9 @@ def plot_long(path: Path, document: dict) -> None:
             middles = [(row["first_tick"] + row["last_tick"]) / 2 for row in alone]
             found = [row[score] for row in alone]
             axes.plot(middles, found, "s", color=colour, fillstyle="none", label=f"{name}, the part alone")
-        axes.set_title(clip, fontsize=10)
+        axes.set_title(clip, fontsize=10, loc="left")
         name_axes(axes, "plane", "PSNR of the held-out view / dB")
-        axes.legend(fontsize=8, frameon=False)
+        axes.legend(fontsize=7, frameon=False, ncols=4, columnspacing=1, loc="lower right", bbox_to_anchor=(1, 0.98))
     told = "A mark is the mean over the instants of a span that have truth."
     write_figure(path, figure, caption(document, rows, told))
 
