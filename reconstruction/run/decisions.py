@@ -44,8 +44,8 @@ class Plan:
 
     `views`: ids of the training cameras. `model`, `images`, `supervision`, `init`, `points`: names, none of them
     `auto`. `refine`: whether poses, gains and lags are learnt in training. `pixels`: what is taken of single pixels.
-    There may be `still_gaussians` and, in each span, `moving_gaussians`. `window`: planes of a short image, an odd
-    number. `doublings`: shares of the training at which pictures double in width and height, in order.
+    A scene has at most `still_gaussians` and, in each span, `moving_gaussians`. `window`: planes of a short image, an
+    odd number. `doublings`: shares of the training at which pictures double in width and height, in order.
     `spans`: the planes [first, last) of each span of a recording that is reconstructed in spans; empty for one in a
     piece. `sweeps`: instants at which movers are swept.
     """

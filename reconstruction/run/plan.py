@@ -33,7 +33,7 @@ COARSE_UNTIL = 0.75  # share of the training after which pictures are whole
 GAUSSIAN_FLOATS = 12  # numbers of a still Gaussian
 MOVING = 2.5  # times the share of the pixels that move: the share of the Gaussians that do
 LEAST_MOVING, MOST_MOVING = 0.1, 0.6  # of all Gaussians
-STILL_ONCE = 2  # times the still Gaussians of one span that several have, which learn them once
+STILL_ONCE = 2  # times as many still Gaussians where several spans share what stands still
 BEST_METHOD = "adaptive"  # best image method without a network, on single images
 
 

@@ -40,7 +40,7 @@ def listable(folder: DataFolder, request: JobBase, target: Entry) -> JobBase:
 
 
 def _spread(planes: int, most: int) -> str | None:
-    """Return so many of the planes as A:B:STEP; None where those that are made by themselves are no more."""
+    """Return A:B:STEP that names at most so many planes; None where every 20th does."""
     stride = -(-planes // max(1, most))
     return f"0:{planes}:{stride}" if stride > _STRIDE else None
 

@@ -41,7 +41,7 @@ def tasks_of(long: Mapping[str, Any]) -> tuple[str, dict[str, float]]:
     whole = max((row for row in long["rows"] if row["part"] == "whole"), key=lambda row: row["planes"])
     spans = [row for row in long["rows"] if row["part"] == "span" and row["clip"] == whole["clip"]]
     by_span: dict[int, float] = defaultdict(float)
-    for place, row in enumerate(spans):  # several of them were learnt as one span
+    for place, row in enumerate(spans):  # those of one span are one task
         by_span[row.get("span", place)] += row.get("seconds", 0.0)
     moving = [seconds for seconds in by_span.values() if seconds]
     seconds = {stage: whole[f"seconds.{stage}"] for stage in STAGES}
